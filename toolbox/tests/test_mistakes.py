@@ -120,7 +120,7 @@ def test_a_gain_that_passes_its_bound_between_the_frequencies_is_said():
     dense = np.linspace(1e-3, np.pi, 20_000) / TS
     largest = np.linalg.norm(design.filter.frequency_response(dense), 2, axis=(1, 2)).max()
     assert largest > 1.01 * design.problem.L_max
-    assert f"L_max = {design.problem.L_max:g}, {largest:.3g} between the freq" in str(design)
+    assert f"L_max = {design.problem.L_max:g} ({largest:.3g} between the freq" in str(design)
 
 
 def test_the_mean_over_the_band_is_that_of_many_frequencies():

@@ -4,7 +4,6 @@
 :func:`certify` adds how far the filter is from the optimum of its design.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,14 +11,15 @@ import numpy as np
 
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
 from ilctools.evidence.margins import Margins, margins
-from ilctools.evidence.optimality import lower_bound, relief
+from ilctools.evidence.optimality import lower_bound
 from ilctools.evidence.peak import CLOSE, Peak, estimated_peaks, highest, peak_of_L, proven_peaks
 from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
+from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
 from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
-from ilctools.response.roughness import scatter_warnings
+from ilctools.response.roughness import scattered
 from ilctools.singular_values import TIED, largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
@@ -28,7 +28,6 @@ VIOLATION = 1e-9
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
 COARSE = 0.25
-NAMED = 4  # of those that are tied as the worst, so many are named
 FINE = 2000  # frequencies of the mean over the band
 PASSED_L = 1.01  # times L_max, between the frequencies
 CHOSEN = "chosen: ", "L = B"  # how what is no assumption begins: in the details
@@ -52,7 +51,6 @@ class Certificate:
     beyond: Peak | None  # above the last sample, of the size that is assumed there
     grid_L: float  # peak of sigma_max(L) on the grid
     lower_bound: float = np.nan  # what no such filter within the bounds can go below
-    relief: float = np.nan  # of the optimum, relative, by a relative increase of L_max: convex
 
     @property
     def grid_M(self) -> float:
@@ -145,12 +143,6 @@ class Certificate:
         """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
         return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
-    @property
-    def unseen(self) -> Peak | None:
-        """The highest peak of the models, if it is one or more, where omega does not see it."""
-        peak = highest(self.exact)
-        return peak if peak and peak.sigma >= 1 and not self.deaf else None
-
     @cached_property
     def deaf(self) -> bool:
         """Whether the highest peak is where P passes nothing, and M is |Q| for any L."""
@@ -165,103 +157,72 @@ class Certificate:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What P and its radius rest on, and where they are of no use."""
-        deaf = []
-        if self.deaf:
-            deaf.append(
-                f"P passes nothing at {highest(self.exact).omega:.4g} rad/s: M is |Q| there for "
-                f"any L, and the error stays; at the frequencies omega it is {self.grid_M:.4g}"
-            )
-        return (*self.problem.assumptions, *deaf, *_unusable(self.problem.design))
+        if not self.deaf:
+            return self.problem.assumptions
+        at = highest(self.exact).omega
+        return (
+            *self.problem.assumptions,
+            f"P passes nothing at {at:.4g} rad/s: M is |Q| there for any L, and the error stays; "
+            f"at the frequencies omega it is {self.grid_M:.4g}",
+        )
 
     @property
-    def failures(self) -> list[str]:
+    def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
-        return list(self._failures())
-
-    def _failures(self) -> Iterator[str]:
-        problem = self.problem
-        M_max, L_max = problem.design.M_max, problem.design.L_max
+        problem, peak = self.problem, highest(self.exact)
+        M_max, L_max = problem.design.M_max, problem.design.L_max or np.inf
+        on_grid, anywhere = 1 + VIOLATION, 1 + CLOSE
+        found = []
         if self.gap > GAP:
-            yield f"relative duality gap {self.gap:.1e} > {GAP:g}"
-        if self.grid_M > M_max * (1 + VIOLATION):
-            where = f" at its worst ({self._where()})" if problem.robust else ""
-            yield f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid"
-        if L_max is not None and self.grid_L > L_max * (1 + VIOLATION):
-            yield f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid"
-        if problem.everywhere:
-            limit = 1 + CLOSE
-            if self.all_M > M_max * limit or (L_max or np.inf) * limit < self.all_L:
-                yield (
-                    f"sigma_max(M) is {self.all_M:.12g}, sigma_max(L) {self.all_L:.12g} at some "
-                    "frequency, above the bounds"
-                )
-        if peak := self.unseen:
-            yield (
-                f"sigma_max(M){self._whose(peak)} reaches {peak.sigma:.9g} at {peak.omega:.6g} "
-                "rad/s, not in omega: Lemma 1 does not hold; add frequencies there, or "
-                "synthesise with everywhere=True"
-            )
+            found.append(Finding("gap", self.gap, GAP))
+        if self.grid_M > M_max * on_grid:
+            found.append(Finding("M", self.grid_M, M_max, self._place()))
+        if self.grid_L > L_max * on_grid:
+            found.append(Finding("L", self.grid_L, L_max))
+        if problem.everywhere and self.all_M > M_max * anywhere:
+            found.append(Finding("M everywhere", self.all_M, M_max, self._place(self.peak)))
+        if problem.everywhere and self.all_L > L_max * anywhere:
+            found.append(Finding("L everywhere", self.all_L, L_max))
+        if peak and peak.sigma >= 1 and not self.deaf:
+            found.append(Finding("one or more", peak.sigma, 1, self._place(peak)))
         if self.beyond and self.beyond.sigma >= 1 and not problem.findings:
-            size = f"{self.beyond.sigma:.4g}"
-            yield f"{self._above()}, may reach {size}: Lemma 1 does not hold"
+            found.append(Finding("beyond", self.beyond.sigma, 1, self._place(self.beyond)))
+        return found
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
-        problem, design = self.problem, self.problem.design
-        texts = [*problem.findings]
-        if design.response.models[0] is None and design.radius is None:
-            texts += scatter_warnings(design.omega, design.P, design.Q)
-        if design.response.models[0] is None and lead(design.P, design.omega, design.Ts) > LEAD:
-            texts.append(
-                "the phase of P leads what its gain admits of any stable plant: is it of "
-                "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?"
-            )
+        problem, response, peak = self.problem, self.problem.design.response, self.peak
+        found, M_max = [*problem.findings], problem.design.M_max
+        omega, P, sampled = response.omega, response.P[0], response.models[0] is None
+        if sampled and response.radius is None:
+            found += scattered(omega, P, problem.design.Q)
+        if sampled and (ahead := lead(P, omega, response.Ts)) > LEAD:
+            found.append(Finding("lead", ahead, LEAD))
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
-            share = self.value / problem.idle
-            where = "in the band" if problem.band else "for this reference"
-            texts.append(f"the filter leaves {share:.0%} of the error {where}")
-        whose = f"sigma_max(M){self._whose(self.peak)}"
-        place = f"{self.all_M:.4g} at {self.peak.omega:.4g} rad/s, between the"
-        M_max = problem.design.M_max
-        passed = self.all_M - M_max > COARSE * (1 - M_max)
-        if self.proven and passed and not self.failures and not self.deaf:
-            texts.append(
-                f"{whose} reaches {place} frequencies omega, where M_max = {M_max:g} "
-                "bounds it: synthesise with everywhere=True, or "
-                f"{'an' if problem.L_max is None else 'a smaller'} L_max"
-            )
-        elif not self.proven and self.all_M - self.grid_M > COARSE * (1 - self.grid_M):
-            texts.append(
-                f"{whose} may reach {place} frequencies omega, which show too little of P: measure "
-                "at more of them there, or with less noise, or synthesise with everywhere=True"
-            )
-        return texts
+            found.append(Finding("idle", self.value / problem.idle, IDLE))
+        code, known = ("between", M_max) if self.proven else ("samples", self.grid_M)
+        passed = peak.sigma - known > COARSE * (1 - known)
+        if passed and not (self.proven and (self.failures or self.deaf)):
+            found.append(Finding(code, peak.sigma, known, self._place(peak)))
+        return found
 
-    def _whose(self, peak):
-        """Of which plant a peak is."""
-        return f" of plant {peak.plant}" if len(self.problem.plants) > 1 else ""
-
-    def _where(self):
-        """The plants and frequencies of the peak on the grid."""
-        omega = self.problem.omega
-        places = []
-        for plant, k in self.worst.tied:
-            of = f"plant {plant} " if len(self.problem.plants) > 1 else ""
-            places.append(f"{of}at {omega[k]:.4g}")
-        text = f"{', '.join(places[:NAMED])} rad/s"
-        if len(places) > NAMED:
-            text += f" and {len(places) - NAMED} more"
-        return text
-
-    def _above(self):
-        """Where M is bounded by what is assumed."""
-        last = self.problem.design.omega[-1]
-        return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
+    def _place(self, peak=None):
+        """Where a peak is, by default that at omega, and of which plant."""
+        plant, at = self.worst.tied[0]
+        plant, omega = (plant, self.problem.omega[at]) if peak is None else (peak.plant, peak.omega)
+        of_plant = f"of plant {plant} at " if len(self.problem.plants) > 1 else "at "
+        return f"{of_plant}{omega:.4g} rad/s"
 
     def __repr__(self):
-        rate = f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}"
-        lines = [f"{rate}; largest near {float(f'{self._near():.2g}'):g} rad/s", self._reached()]
+        near = self.problem.omega[self.worst.sigma >= 0.99 * self.rate]
+        at = near.min() if near.size else self.highest_peak.omega
+        where = "proven" if self.proven else f"{_span(self.problem.design.omega)}, estimated"
+        lines = [
+            f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies, {where}; largest "
+            f"near {float(f'{at:.2g}'):g} rad/s",
+            self._reached(),
+        ]
         lines += [repr(self.margins)] if self.rate < 1 or self.deaf else []
         texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
         lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
@@ -270,13 +231,13 @@ class Certificate:
     @property
     def details(self) -> str:
         """All that is known, for print: the table of M and L, the worst plants, the optimum."""
-        lines = [*self._table(), *self._of_worst(), *self._between(), *self._of_value()]
-        return "\n".join([*lines, *self._mean(), *self.assumptions, *self._against()])
+        lines = [*self._table(), *self._between(), self._optimum(), *self._mean()]
+        return "\n".join([*lines, *self.assumptions, *self._against()])
 
-    def _against(self) -> Iterator[str]:
+    def _against(self) -> list[str]:
         """Warnings and failures."""
-        yield from (f"WARNING: {text}" for text in self.warnings)
-        yield from (f"FAILS: {text}" for text in self.failures)
+        warnings = [f"WARNING: {found}" for found in self.warnings]
+        return warnings + [f"FAILS: {found}" for found in self.failures]
 
     def _whom(self):
         """For which plants the rate is."""
@@ -286,57 +247,43 @@ class Certificate:
             return f" for every plant within the radius{of}"
         return f" for each{of}" if of else ""
 
-    def _near(self):
-        """The lowest frequency at which M is within a percent of the rate."""
-        near = self.problem.omega[self.worst.sigma >= 0.99 * self.rate]
-        return near.min() if near.size else self.highest_peak.omega
-
-    def _coverage(self):
-        """At which frequencies the rate is known."""
-        if self.proven:
-            return "proven at all frequencies"
-        return f"at all frequencies {_span(self.problem.design.omega)}"
-
-    def _mean(self) -> Iterator[str]:
+    def _mean(self) -> list[str]:
         """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
         problem = self.problem
         nominal = " of the nominal plant" if problem.robust else ""
         if self.predicted:
             trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
-            yield (
+            return [
                 f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this reference, "
                 "without noise, and without what the two ends of a trial add, which counts if it "
                 "is not long against the settling time"
-            )
-        elif problem.objective == "sum" and np.isfinite(self.mean_M):
-            mean = f"{self.mean_M:.4f}" if self.mean_M >= 1e-4 else "below 0.0001"
-            mean += f", {_span(problem.band)}"
-            yield f"mean of sigma_max(M){nominal} over the band: {mean}"
+            ]
+        if problem.objective != "sum" or np.isnan(self.mean_M):
+            return []
+        mean = f"{self.mean_M:.4f}" if self.mean_M >= 1e-4 else "below 0.0001"
+        return [f"mean of sigma_max(M){nominal} over the band: {mean}, {_span(problem.band)}"]
 
     def _reached(self):
         """Which bounds limit the optimum; without them, no other than the filter's size."""
         problem, bounds = self.problem, []
-        if not np.isfinite(self.lower_bound):
+        if np.isnan(self.lower_bound):
             return "L = B by its formula, K = 1: nothing was optimised"
         if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
             bounds.append(f"M_max = {problem.design.M_max:g}")
         if problem.L_max is not None and self.grid_L > problem.L_max * (1 - TIED):
             bounds.append(f"L_max = {problem.design.L_max:g}")
             if self.all_L > PASSED_L * problem.design.L_max:
-                bounds[-1] += f", {self.all_L:.3g} between the frequencies,"
-            if self.value >= problem.unit(0):  # below, rounding decides
-                share = min(self.relief / 10, 1)
-                bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
+                bounds[-1] += f" ({self.all_L:.3g} between the frequencies)"
         size = f"order = {problem.order}"
         if problem.base is not None:
             size += " of K in L = B K, by convex optimisation"
-        if problem.base is None and problem.order < problem.delay:
+        elif problem.order < problem.delay:
             size += f" (P lags by {problem.delay} samples at the cut-off)"
         if problem.structure == "diagonal" and problem.channels > 1:
             size += ", diagonal"
         return f"limited by {', '.join([*bounds, size])}"
 
-    def _table(self) -> Iterator[str]:
+    def _table(self) -> list[str]:
         """Bounds and peaks of M and L."""
         problem = self.problem
         M_max, L_max = problem.design.M_max, problem.design.L_max
@@ -345,66 +292,45 @@ class Certificate:
             ("", "sigma_max(M)", "sigma_max(L)"),
             ("bound", f"{M_max:g}", "none" if L_max is None else f"{L_max:g}"),
             ("on the design grid", f"{self.grid_M:.8f}", f"{self.grid_L:.7g}"),
+            ("over all frequencies", all_M, f"{self.all_L:.6g}"),
         ]
+        return [f"{title:<22}{M:>14}{L:>14}".rstrip() for title, M, L in rows]
+
+    def _between(self) -> list[str]:
+        """The worst of several plants, and what is known of M between the design frequencies."""
+        problem, omega, lines = self.problem, self.problem.design.omega, []
         if problem.robust:
-            rows.append(("  of the nominal plant", f"{self.worst.peaks[0]:.8f}", ""))
-        rows.append(("over all frequencies", all_M, f"{self.all_L:.6g}"))
-        for title, M, L in rows:
-            yield f"{title:<22}{M:>14}{L:>14}".rstrip()
-
-    def _of_worst(self) -> Iterator[str]:
-        """The worst plants and frequencies, if there is a choice."""
-        if self.problem.robust:
-            yield f"worst{self._whom()} on the design grid: {self._where()}"
-
-    def _between(self) -> Iterator[str]:
-        """What is not in the table of M between the design frequencies."""
-        problem, omega = self.problem, self.problem.design.omega
-        if self.proven:
-            return
-        within = "" if problem.design.radius is None else " within the radius"
-        if self.exact:
+            of_P = f"{self.worst.peaks[0]:.8f} of the nominal plant"
+            lines.append(f"largest{self._whom()} {self._place()}, on the design grid; {of_P}")
+        if self.exact and self.estimated:
             sigma = highest(self.exact).sigma
-            yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.6f}"
-        sigma = highest(self.estimated).sigma
-        yield f"sigma_max(M){within} {_span(omega)}, on a dense grid: {sigma:.4f}, estimated"
-        unknown = [f"below {omega[0]:.4g} rad/s"] if omega[0] > 0 else []
+            lines.append(f"sigma_max(M) of models alone at all frequencies, proven: {sigma:.6f}")
+        if self.estimated:
+            sigma = highest(self.estimated).sigma
+            lines.append(f"sigma_max(M) {_span(omega)}, on a dense grid: {sigma:.4f}, estimated")
+        if problem.response.sampled:
+            lines.append(
+                f"sigma_max(M) unknown: below {omega[0]:.4g} rad/s, at resonances that no sample "
+                "shows"
+            )
         if self.beyond:
-            yield f"{self._above()}: {self.beyond.sigma:.4f} at most"
-        elif omega[-1] < np.pi / problem.Ts * (1 - 1e-9):
-            unknown.append(f"above {omega[-1]:.4g} rad/s")
-        if len(self.exact) < len(problem.plants):
-            unknown.append("at resonances that no sample shows")
-        if unknown:
-            yield f"sigma_max(M){within} unknown: {', '.join(unknown)}"
+            sigma = self.beyond.sigma
+            lines.append(f"sigma_max(M) above {omega[-1]:.4g} rad/s: {sigma:.4f} at most, assumed")
+        return lines
 
-    def _of_value(self) -> Iterator[str]:
+    def _optimum(self):
         """The objective, and how much better another filter could be."""
         problem = self.problem
-        if problem.everywhere:
-            yield "bounds asked for at every frequency, not on the grid only"
-        if not np.isfinite(self.lower_bound):
-            yield f"objective {self.value:.7g}; L = B was not optimised for it"
-            return
+        if np.isnan(self.lower_bound):
+            return f"objective {self.value:.7g}; L = B was not optimised for it"
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
         if problem.base is not None:
             gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
-        lower = problem.stated is not None and len(problem.omega) > len(problem.design.omega)
+        lower = len(problem.omega) > len(problem.design.omega)
         kept = ", of those whose bounds are kept lower at omega for what lies between and above"
-        yield (
+        return (
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}{kept if lower else ''}"
-        )
-
-
-def _unusable(problem: Problem) -> Iterator[str]:
-    """Where P is not known well enough for any learning."""
-    omega = problem.omega[problem.unusable]
-    if omega.size:
-        yield (
-            f"nothing can be learned at {omega.size} frequencies {_span(omega)}, where the "
-            "uncertainty ball contains singular plants; |Q|, below which sigma_max(M) cannot be, "
-            f"is up to {np.abs(problem.Q[problem.unusable]).max():.4g} there"
         )
 
 
@@ -431,10 +357,5 @@ def check(problem: Problem, L: LearningFilter) -> Certificate:
 
 def certify(problem: Problem, solution: Solution) -> Certificate:
     """Find out what is true of a filter; nothing of the solution is trusted."""
-    found = check(problem, problem.learned(solution))
-    U, V, cuts = solution.U, solution.V, solution.cuts
-    return replace(
-        found,
-        lower_bound=lower_bound(problem, U, V, cuts),
-        relief=relief(problem, found.value, U, V, cuts),
-    )
+    bound = lower_bound(problem, solution.U, solution.V, solution.cuts)
+    return replace(check(problem, problem.learned(solution)), lower_bound=bound)

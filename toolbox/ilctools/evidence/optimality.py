@@ -60,21 +60,6 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     return max(0.0, float(bound))  # the objective is never negative
 
 
-def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
-    """Relative decrease of the optimum for a relative increase of L_max: the slope.
-
-    It is what the multipliers of that bound take from the bound in :func:`lower_bound`. The optimum
-    is convex in L_max: by any increase it falls by the slope times that at most.
-    """
-    if problem.L_max is None:
-        return 0.0
-    share = _nuclear_norms(np.linalg.solve(problem.weight, V)).sum()
-    if problem.objective == "peak":
-        total = _nuclear_norms(U).sum()
-        share /= total if cuts is None else total + dual_norm(cuts.N).sum()
-    return float(share / value) if value > 0 else 0.0
-
-
 def _projected(problem, parts):
     """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
     m = problem.channels

@@ -9,7 +9,7 @@ import numpy as np
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
 from ilctools.response.measured import Measured, interpolated
-from ilctools.response.roughness import scatter_warnings
+from ilctools.response.roughness import scattered
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,5 +81,5 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
         raise ValueError(f"uncertainty reaches {radius.min():.6g}, but must not be negative")
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
-    findings = () if radius.any() else scatter_warnings(omega, P)
+    findings = () if radius.any() else tuple(map(str, scattered(omega, P)))
     return TabulatedResponse(omega, P, radius, loop, findings)

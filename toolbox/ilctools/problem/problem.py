@@ -15,6 +15,7 @@ import numpy as np
 
 from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
+from ilctools.findings import Finding
 from ilctools.problem import defaults
 from ilctools.problem.lowpass import SampledQ
 from ilctools.response.response import Response
@@ -184,24 +185,29 @@ class Problem:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What was chosen by default, and what P, its radius and Q rest on between samples."""
-        response, of_Q = self.design.response, ()
+        design, more = self.design, []
+        response, lost = design.response, design.unusable
         if isinstance(self.lowpass, SampledQ):
-            end = f"{np.abs(self.lowpass.samples[-1]):.4g} above"
-            of_Q = (f"assumed: Q is splined between its samples, and {end} the last",)
-        return (*self.chosen, *response.assumptions, *response.assumed, *of_Q)
+            last = np.abs(self.lowpass.samples[-1])
+            more.append(f"assumed: Q is splined between its samples, and {last:.4g} above the last")
+        if lost.any():
+            low, *_, high = np.repeat(design.omega[lost], 2)
+            more.append(
+                f"nothing can be learned at {lost.sum()} frequencies from {low:.4g} to {high:.4g} "
+                "rad/s, where the uncertainty ball contains singular plants; |Q|, below which "
+                f"sigma_max(M) cannot be, is up to {np.abs(design.Q[lost]).max():.4g} there"
+            )
+        return (*self.chosen, *response.assumptions, *response.assumed, *more)
 
     @property
-    def findings(self) -> tuple[str, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Why the bounds cannot hold where P is not known."""
         response, M_max = self.design.response, self.design.M_max
         last = response.omega[-1]
         Q = np.abs(self.lowpass.frequency_response([last]))[0]
         if response.beyond is None or M_max > Q:
             return ()
-        return (
-            f"Q is {Q:.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
-            f"by {M_max:g} there; lower the cut-off of Q, or measure further",
-        )
+        return (Finding("unmeasured", Q, M_max, f"above {last:.4g} rad/s"),)
 
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""

@@ -118,6 +118,7 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
     if not all(isinstance(plant, Measured) for plant in sampled):
         raise ValueError("omega must be given: P is an array, which does not know its frequencies")
     if not isinstance(Q, ZeroPhaseButterworth | None):
+        arguments.array("Q", Q, ("frequency",), complex)
         raise ValueError(
             "omega must be given, as Q holds samples: or pass zero_phase_butterworth(order, "
             "cutoff, Ts), from whose cut-off a grid is chosen"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import binom
 
+from ilctools.findings import Finding
 from ilctools.singular_values import largest_singular_values
 
 FALSE_ALARM = 1e-3  # probability, at most, that samples without noise are said to scatter
@@ -37,13 +38,7 @@ def scatter(omega, P, Q=1.0) -> float:
     return float(np.sqrt(np.mean(largest_singular_values(difference) ** 2)))
 
 
-def scatter_warnings(omega, P, Q=1.0) -> tuple[str, ...]:
+def scattered(omega, P, Q=1.0) -> list[Finding]:
     """What follows if samples scatter."""
     size = scatter(omega, P, Q)
-    text = (
-        f"P scatters from line to line by {size:.2g} of its size (RMS): it is noisy, or the lines "
-        "are too far apart to show how it bends. Without a radius they count as exact, and what is "
-        "promised holds for them, not for the plant: pass the radius as `uncertainty`, or a "
-        "record, measured_response(log)"
-    )
-    return (text,) if size else ()
+    return [Finding("scatter", size, 0)] if size else []

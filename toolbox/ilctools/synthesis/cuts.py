@@ -12,23 +12,16 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
-from ilctools.synthesis.solver.program import Infeasible
 
 PASSED = 1e-10  # relative violation that is rounding
 
 
-def solve(problem: Problem, enough: float = 0.0) -> Solution:
-    """Solve a problem at its frequencies; Infeasible, with the nearest solution, if it is.
-
-    Below the objective `enough` the solution need not be the optimum.
-    """
+def solve(problem: Problem) -> Solution:
+    """Solve a problem at its frequencies; Infeasible if it is."""
     plant, frequency = np.empty((2, 0), dtype=int)
     while True:
         formulation = formulate(problem, plant, frequency)
-        try:
-            solution = formulation.solution(minimise(formulation.program, enough))
-        except Infeasible as error:
-            raise Infeasible(formulation.solution(error.nearest)) from None
+        solution = formulation.solution(minimise(formulation.program))
         limit = solution.largest if problem.objective == "peak" else problem.M_max
         of_plant, at = violated(problem, solution, limit, plant, frequency)
         if not len(at):

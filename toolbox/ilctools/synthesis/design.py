@@ -17,7 +17,6 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.response.door import LOWEST, response_of
 from ilctools.singular_values import largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
-from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
@@ -26,7 +25,6 @@ from ilctools.threads import on_one_thread
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 SETTLED = 0.02  # of a disturbance: a trial of ten times that long has two ends of its own
 SHORTEST, LONGEST = 50, 1000  # samples of that trial; longer ones of several plants take seconds
-HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 
 
 @on_one_thread
@@ -153,7 +151,7 @@ def synthesise(
     Raises
     ------
     InfeasibleError
-        If no filter meets the bounds; the message says which of them is too tight.
+        If no filter meets the bounds; the message says which M_max would be feasible.
     SolverError
         If the solver fails, or the certificate of its result does.
 
@@ -274,8 +272,8 @@ def direct(problem: Problem) -> Synthesis | None:
 def insist(certificate: Certificate):
     """Raise if a certificate fails."""
     if certificate.failures:
-        failures = "; ".join(certificate.failures)
-        raise SolverError(f"{failures}{_remedy(certificate.problem)}")
+        failures = "; ".join(map(str, certificate.failures))
+        raise SolverError(f"{failures}.{_remedy(certificate.problem)}")
 
 
 def _remedy(problem):
@@ -283,16 +281,16 @@ def _remedy(problem):
     if not problem.everywhere:
         return ""
     return (
-        ". Bounds at every frequency are harder than on omega: take more frequencies, a shorter "
-        "filter or a larger M_max, or leave `everywhere` out: the certificate says what holds then"
+        " Bounds at every frequency are harder than on omega: take more frequencies, a shorter "
+        "filter or a larger M_max, or leave `everywhere` out: the certificate says what holds then."
     )
 
 
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each of its findings."""
-    for text in design.certificate.warnings:
+    for found in design.certificate.warnings:
         # warned, the door, its one thread, whoever called
-        warnings.warn(text, stacklevel=4)
+        warnings.warn(str(found), stacklevel=4)
     return design
 
 
@@ -301,10 +299,10 @@ def certified(problem: Problem, *, check=True) -> Synthesis:
     stated = problem
     try:
         problem, solution = solve_everywhere(problem)
-    except Infeasible as error:
-        raise _explained(problem, error.nearest) from None
+    except Infeasible:
+        raise _infeasible(problem) from None
     except RuntimeError as error:
-        raise SolverError(f"{error}{_remedy(problem)}") from None
+        raise SolverError(f"{error}.{_remedy(problem)}") from None
     certificate = certify(problem, solution)
     if check:
         insist(certificate)
@@ -324,31 +322,26 @@ def result(problem, stated, solution, certificate) -> Synthesis:
     )
 
 
-def _explained(problem, nearest):
-    """The error that says which bound is too tight, where, and what would be feasible."""
-    posed, on_grid = problem, len(nearest.V) > len(problem.omega)
-    if (
-        len(problem.plants) > 1 or problem.everywhere or on_grid
-    ):  # not all of the bounds had a say so far
-        posed, nearest = solve_everywhere(replace(problem, M_max=np.inf, objective="peak"))
+def _infeasible(problem) -> InfeasibleError:
+    """The error that says what would be feasible, and where the bounds are most in the way."""
+    posed, nearest = solve_everywhere(problem, M_max=np.inf, objective="peak")
     plant, omega = _obstacle(posed, nearest)
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
-    message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
-    if on_grid:
-        message += f"{_remedy(problem)}. At the frequencies omega alone the bounds can be met"
-    if problem.order < problem.delay:
-        message += f". P lags by {problem.delay} samples at the cut-off, more than order"
-    lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
-    if lost.size:
-        message += (
-            f". P is not known well enough at {len(lost)} frequencies from {lost[0]:.4g} to "
-            f"{lost[-1]:.4g} rad/s, where the radius contains singular plants: measure longer "
-            "there, or lower the cut-off of Q"
-        )
-    response = problem.response
-    if response.beyond is not None and not problem.findings:
-        message += f". It is {response.assumed[0]}: measure further"
-    return InfeasibleError(message, nearest.largest, plant, omega)
+    least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
+    longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
+    raised = "M_max" if problem.L_max is None else "M_max or L_max"
+    texts = "; ".join(problem.assumptions)
+    return InfeasibleError(
+        f"infeasible: M_max = {problem.M_max:g} and L_max = {problem.L_max} are too tight for a "
+        f"{problem.structure} filter of order = {problem.order} (P lags by {problem.delay} samples "
+        f"at the cut-off); the smallest feasible M_max is {least:.6g} (most in the way: {where}): "
+        f"raise {raised}, take {longer}, lower the cut-off of Q (without Q, it is chosen), or "
+        "design a faster loop. If no bound so tight was meant: are units, signs "
+        f"and the order of the channels right, in each plant?{_remedy(problem)} {texts}",
+        nearest.largest,
+        plant,
+        omega,
+    )
 
 
 def _obstacle(problem, nearest):
@@ -361,33 +354,3 @@ def _obstacle(problem, nearest):
             most = tied(of_cuts).argmax()
             plant, frequency = int(cuts.plant[most]), cuts.frequency[most]
     return plant, float(problem.omega[frequency])
-
-
-def _advice(problem, smallest):
-    """Which bound is too tight, and what would be feasible."""
-    M_max, L_max = problem.M_max, problem.L_max
-    remedy = f"the smallest feasible M_max is {_rounded_up(smallest)}"
-    raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
-    if L_max is not None:
-        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak")
-        without = solve(unbounded, enough=M_max).largest
-        if without <= M_max:
-            return (
-                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "
-                f"{remedy}: {raised}{' or' if smallest < HOPELESS else ''} raise L_max"
-            )
-        remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
-    longer = "a longer filter" + ("" if problem.structure == "full" else ", or a full one")
-    return (
-        f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
-        f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
-        "lower the cut-off of Q (without Q, it is chosen), or design a "
-        "faster loop. If no bound so tight was meant: are units, signs and the order of the "
-        "channels right, in each plant?"
-    )
-
-
-def _rounded_up(M_max):
-    """In six digits, and not less than it is, or who follows the advice is refused again."""
-    unit = 10.0 ** (np.floor(np.log10(M_max)) - 5)
-    return f"{np.ceil(M_max / unit) * unit:.6g}"

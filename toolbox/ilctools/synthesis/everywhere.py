@@ -4,6 +4,8 @@ Of thousands of bounds a few are active. What is optimal for a part of them and 
 for all.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from tqdm import tqdm
 
@@ -17,9 +19,10 @@ ROUNDS = 50  # at which to give up
 FEW = 100  # bounds that are added in a round, beside those that are passed most
 
 
-def solve_everywhere(problem: Problem) -> tuple[Problem, Solution]:
-    """Solve a problem; returned with all frequencies that its bounds need."""
+def solve_everywhere(problem: Problem, **changes) -> tuple[Problem, Solution]:
+    """Solve a problem, with changes on its grid; returned with all frequencies that it needs."""
     grid, chosen = on_a_grid(problem)
+    grid = replace(grid, **changes)
     for _ in tqdm(range(ROUNDS), "bounds at every frequency", leave=False, delay=3, disable=None):
         wider = part(grid, chosen)
         solution = solve(wider)

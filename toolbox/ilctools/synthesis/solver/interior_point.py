@@ -295,13 +295,10 @@ def follow(p, enough=0.0):
     return best, iteration
 
 
-def minimise(program: Program, enough: float = 0.0) -> Optimum:
-    """Solve a program; below the objective `enough` it need not be the optimum.
-
-    Infeasible if the bounds cannot be met; RuntimeError if the method fails.
-    """
+def minimise(program: Program) -> Optimum:
+    """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails."""
     zero = np.zeros((len(program.rows), len(program.basis)))
-    best, iterations = follow(begin(program, zero), enough)
+    best, iterations = follow(begin(program, zero))
     if best is None:  # phase one
         nearest, more = follow(begin(program.minimax(), zero), enough=program.most)
         iterations += more
@@ -310,13 +307,13 @@ def minimise(program: Program, enough: float = 0.0) -> Optimum:
         if nearest.t[0] >= program.most:
             if not ruled_out(nearest, (1 - CLOSE) * program.most):
                 raise RuntimeError(f"neither met nor ruled out after {iterations} iterations")
-            raise Infeasible(optimum(nearest, iterations))
-        best, more = follow(begin(program, nearest.x), enough)
+            raise Infeasible("the bounds cannot be met")
+        best, more = follow(begin(program, nearest.x))
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")
     if program.shared and best.t[0] > program.most:
-        raise Infeasible(optimum(best, iterations))
+        raise Infeasible("the bounds cannot be met")
     return optimum(best, iterations)
 
 

@@ -31,11 +31,7 @@ class Optimum:
 
 
 class Infeasible(RuntimeError):
-    """The bounds cannot be met; `nearest` is an optimum of :meth:`Program.minimax`."""
-
-    def __init__(self, nearest):
-        super().__init__(f"the bounds cannot be met below {nearest.largest:.10g}")
-        self.nearest = nearest
+    """The bounds cannot be met."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,44 @@
+"""What speaks against a design: a code with its numbers, put into words here and nowhere else."""
+
+from dataclasses import dataclass
+
+WORDS = {
+    # what fails
+    "gap": "relative duality gap {value:.1e} > {limit:g}",
+    "M": "sigma_max(M) {place} = {value:.12g} > M_max = {limit}",
+    "L": "sigma_max(L) = {value:.12g} > L_max = {limit} on the grid",
+    "M everywhere": "sigma_max(M) {place} is {value:.12g}, above M_max = {limit}",
+    "L everywhere": "sigma_max(L) is {value:.12g}, above L_max = {limit}, at some frequency",
+    "one or more": "sigma_max(M) {place}, not in omega, reaches {value:.9g}: Lemma 1 does not "
+    "hold; add frequencies there, or synthesise with everywhere=True",
+    "beyond": "sigma_max(M) {place} may reach {value:.4g}, with the size of P assumed there: "
+    "Lemma 1 does not hold",
+    # what warns
+    "unmeasured": "Q is {value:.4g} {place}, where P is not known: no filter bounds M by {limit:g} "
+    "there; lower the cut-off of Q, or measure further",
+    "scatter": "P scatters from line to line by {value:.2g} of its size (RMS): it is noisy, or the "
+    "lines are too far apart to show how it bends. Without a radius they count as exact, and what "
+    "is promised holds for them, not for the plant: pass the radius as `uncertainty`, or a record, "
+    "measured_response(log)",
+    "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
+    "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?",
+    "idle": "the filter leaves {value:.0%} of the error that counts",
+    "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
+    "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",
+    "samples": "sigma_max(M) {place}, between the frequencies omega, may reach {value:.4g}: they "
+    "show too little of P: measure at more of them there, or with less noise, or synthesise with "
+    "everywhere=True",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A value beyond its limit; `code` is a key of WORDS."""
+
+    code: str
+    value: float
+    limit: float
+    place: str = ""  # which plant and frequency
+
+    def __str__(self):
+        return WORDS[self.code].format(**vars(self))
