@@ -108,7 +108,7 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
 
 
 @pytest.mark.filterwarnings("ignore:Q is 1 above 3.115 rad/s, where P is not known")
-@pytest.mark.filterwarnings("ignore:.*which show too little of P")  # a delay of 11 samples
+@pytest.mark.filterwarnings("ignore:.*they show too little of P")  # a delay of 11 samples
 def test_least_gain_of_a_channel_that_could_be_learned_at_once():
     """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
 

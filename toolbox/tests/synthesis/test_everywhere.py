@@ -47,7 +47,7 @@ def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, va
     assert judged(on_grid, loop, Q, at)[1] > 50.03  # the ledger's 1.0007
     asked = replace(on_grid.problem, everywhere=True)
     failures = replace(on_grid.certificate, problem=asked).failures
-    assert on_grid.certificate.failures == [] and failures[0].code == "M everywhere"
+    assert on_grid.certificate.failures == [] and failures[0].code == "L everywhere"
     M, L = judged(design, loop, Q, at)
     assert M <= 0.9 * PROVEN and 49.99 < L <= 50 * PROVEN
     assert value <= design.value <= value * (1 + 1e-4)  # by a grid for the bounds 1e-5 lower
