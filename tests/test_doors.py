@@ -150,7 +150,6 @@ DOORS = [
     (ilctools.trial_norm, {"rest": [6]}),
     (ilctools.trial_noise,),
     (ilctools.converged_noise,),
-    (ilctools.noise_on_trial,),
     (ilctools.replay, {"unmeasured": ["friction"]}, {"trials": RECORD}),
     (
         ilctools.read_table,
@@ -159,7 +158,6 @@ DOORS = [
         | dict.fromkeys(["Ts", "reference", "v"]),
     ),
     (ilctools.worst_case,),
-    (ilctools.support,),
     (ilctools.violation_probability,),
     (alternatives.pd_type,),
     (alternatives.gradient,),

@@ -10,10 +10,8 @@ from ilctools.evidence.finite import trial_map as trial_map
 from ilctools.evidence.finite import trial_norm as trial_norm
 from ilctools.evidence.finite import trial_operators as trial_operators
 from ilctools.evidence.noise import converged_noise as converged_noise
-from ilctools.evidence.noise import noise_on_trial as noise_on_trial
 from ilctools.evidence.noise import trial_noise as trial_noise
 from ilctools.evidence.robustness import worst_case as worst_case
-from ilctools.evidence.scenario import support as support
 from ilctools.evidence.scenario import violation_probability as violation_probability
 from ilctools.filters import LearningFilter as LearningFilter
 from ilctools.filters import zero_phase_butterworth as zero_phase_butterworth

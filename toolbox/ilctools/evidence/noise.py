@@ -15,38 +15,23 @@ p_k depends on earlier trials alone, and so is independent of x_k and t_k: spect
 If sigma_max(M) <= c < 1, that of p_k has a trace of at most tr(Q P L Phi_x (Q P L)^H) / (1 - c^2).
 A learning gain a takes the place of M by (1 - a) I + a M, and of Q P L by a Q P L.
 
-This is for trials without ends, as Lemma 1 is: :func:`trial_noise`, :func:`converged_noise`. In a
-real trial v is missing before the start. A learning filter with a large gain has coefficients that
-all but cancel; of a sample of noise near the start it applies some and not the others, and these
-do not cancel. :func:`noise_on_trial` computes what the law (23) makes of a trial, ends included:
-
-    v_{k+1} = M v_k - B x_k,    V = M V M^T + B X B^T,    X = cov x_k,
-
-and what learning adds to the error has the covariance P V P^T.
+This is for trials without ends, as Lemma 1 is. In a real trial v is missing before the start. A
+learning filter with a large gain has coefficients that all but cancel; of a sample of noise near
+the start it applies some and not the others, and these do not cancel. How much that is, trials show
+that are simulated with noise alone: :func:`ilctools.run_trials`, with a reference of zero.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
-from scipy.fft import idct
-from scipy.signal import fftconvolve
 
 from ilctools import arguments
 from ilctools.evidence.convergence import convergence
-from ilctools.filters import LearningOperator
 from ilctools.law.law import Law
 from ilctools.loop.closed import CurrentTrialLoop, with_noise
-from ilctools.models import frequency_response, impulse_response
+from ilctools.models import frequency_response
 from ilctools.problem.problem import convergence_matrix
 from ilctools.signals import check_match
-
-FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
-ALL = 200  # in trials that are longer than this
-STILL = 1e-2  # relative, by how much a variance may still change in the middle of a short trial
-NEGLIGIBLE = 1e-17  # share of the noise of the first trial that is no longer added up
-SIDE_BY_SIDE = 50  # samples whose noise the law takes at a time, for the memory of it
-DOUBLINGS = 50  # of the number of trials, until that is reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +98,7 @@ def trial_noise(
     See Also
     --------
     converged_noise : when all is learned
-    noise_on_trial : on a trial with two ends
+    run_trials : on a trial with two ends, simulated with noise
 
     Examples
     --------
@@ -170,7 +155,7 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
     See Also
     --------
     trial_noise : before anything is learned
-    noise_on_trial : on a trial with two ends
+    run_trials : on a trial with two ends, simulated with noise
 
     Examples
     --------
@@ -199,19 +184,16 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
 
 
 def _accumulated(M, added):
-    """Phi = M Phi M^H + `added`, the sum of M^k `added` M^k^H over all k, by Smith's method."""
-    for _ in range(DOUBLINGS):
-        added = added + _through(M, added)
-        M = M @ M
-        size = np.linalg.norm(M, axis=(-2, -1)).max() ** 2
-        if size < NEGLIGIBLE:
-            return added
-        if size > 1 / NEGLIGIBLE:
-            break
-    raise ValueError(
-        "law does not converge: what noise does grows from trial to trial. Ask about one trial "
-        "(trials = 10 of noise_on_trial), or hold v at rest at the end"
-    )
+    """Phi = M Phi M^H + `added`, as linear equations for the entries of Phi."""
+    if np.abs(np.linalg.eigvals(M)).max() >= 1:
+        raise ValueError(
+            "law does not converge: what noise does grows from trial to trial. Simulate a few "
+            "trials with noise (run_trials), or bound sigma_max(M) below one (M_max of synthesise)"
+        )
+    n, m, _ = M.shape
+    both = np.einsum("nij,nkl->nikjl", M, M.conj()).reshape(n, m * m, m * m)
+    entries = np.linalg.solve(np.eye(m * m) - both, added.reshape(n, m * m, 1))
+    return entries.reshape(added.shape)
 
 
 def _density(name, value, n, m):
@@ -228,154 +210,3 @@ def _density(name, value, n, m):
 def _through(H, density):
     """Spectral density of a signal behind H."""
     return H @ density @ H.conj().swapaxes(-2, -1)
-
-
-def noise_on_trial(
-    loop: CurrentTrialLoop,
-    law: Law,
-    samples: int,
-    sensor_variance,
-    *,
-    trials: int | None = None,
-    plant=None,
-) -> xr.Dataset:
-    """What white noise that is new in every trial does to a trial that has two ends.
-
-    Parameters
-    ----------
-    loop, plant :
-        As for :func:`ilctools.run_trials`.
-    law : Law
-        The filters act with their own `ends`; limits are left out of account.
-    samples : int
-        Length of a trial.
-    sensor_variance : float or array_like, shape (m,)
-        Of what the sensors add to y in each sample, of all outputs or of each: of their data sheet,
-        not of y as it is measured in the closed loop, which answers to its sensors; that follows,
-        `measured`. Coloured noise is for :func:`ilctools.trial_noise`, far from the ends.
-    trials : int, optional
-        The number of the trial that is asked about; 1 is the first, where v = 0. Default: after so
-        many that nothing changes any more. If that never happens, a ValueError says so.
-
-    Returns
-    -------
-    xarray.Dataset
-        RMS over all that the noise could have been, at each time and in each channel: `true`, of
-        the outputs themselves; `measured`, of e, the error that the controller sees; `learned`, in
-        both, of what learning has made of earlier trials. :func:`ilctools.rms` of one of
-        them is that of the trial.
-
-    See Also
-    --------
-    converged_noise : the same on trials without ends
-
-    Notes
-    -----
-    Long trials are cut short in the middle: the first half of a short trial is the start of the
-    long one, the second half its end, and the variance in the middle stands still, to a hundredth
-    over a quarter of the short trial, or it is made twice as long. There v is written in cosines,
-    up to where Q falls below a thousandth. Both change the RMS of the paper's trial by less than
-    a ten-thousandth. Next to an end it may be half a percent in a sample, if the loop is fast or
-    the filters hold their ends. A trial of up to 200 samples is exact to rounding.
-
-    Examples
-    --------
-    >>> import control
-    >>> A, B = [[1, 0.01], [0, 1]], [[0], [0.01]]  # a mass of 1 kg, F in N, x in m
-    >>> stage = control.ss(A, B, [[1, 0]], 0, 0.01, inputs=["F"], outputs=["x"])
-    >>> from ilctools import Law, LearningFilter, current_trial_loop, noise_on_trial
-    >>> from ilctools import zero_phase_butterworth
-    >>> loop, Q = current_trial_loop(stage, ["F"]), zero_phase_butterworth(2, 10.0, 0.01)
-    >>> law = Law(Q, LearningFilter([[[0.1]]], 0.01))
-    >>> noise = noise_on_trial(loop, law, samples=100, sensor_variance=0.02**2)
-    >>> noise.sizes["time"]
-    100
-    """
-    arguments.instance("loop", loop, CurrentTrialLoop)
-    law, m = arguments.instance("law", law, Law).bound_to(loop), len(loop.outputs)
-    arguments.instance("law.L", law.L, LearningOperator)
-    samples = arguments.whole("samples", samples, 1)
-    trials = None if trials is None else arguments.whole("trials", trials, 1)
-    arguments.whole("law.rest", law.rest, 0, samples - 1)
-    [variance] = _density("sensor_variance", sensor_variance, 1, m)
-
-    variances = _variances(with_noise(loop, plant), law, samples, np.sqrt(variance), trials)
-    coordinates = {
-        "time": ("time", loop.Ts * np.arange(samples), {"units": "s"}),
-        "channel": np.arange(1, m + 1),
-        "output": ("channel", loop.outputs),
-    }
-    signals = {name: (("time", "channel"), variance) for name, variance in variances.items()}
-    return np.sqrt(xr.Dataset(signals, coordinates))
-
-
-def _variances(closed, law, samples, noise, trials):
-    """Of the signals of :func:`noise_on_trial`, each (time, m), with sensors of such deviations."""
-    h, m = impulse_response(closed, samples), len(noise)
-    P, T = h[..., :m], h[..., -m:] @ noise
-    X = T.copy()  # of x: the noise itself, and what the loop makes of it
-    X[0] += noise
-    learned = _learned_between(P, X, law, trials, np.abs(closed.poles()).max())
-    true, measured = ((response**2).sum(axis=2).cumsum(axis=0) + learned for response in (T, X))
-    return {"true": true, "measured": measured, "learned": learned}
-
-
-def _learned_between(P, X, law, trials, slowest):
-    """Variance of P v, shape (time, m), of a long trial by the two halves of a short one."""
-    samples = len(P)
-    slowest = min(max(slowest, np.abs(law.Q.poles).max()), arguments.CIRCLE)
-    length = 2 * law.rest + int(np.ceil(2 * np.log(STILL) / np.log(slowest)))
-    while length < samples:
-        learned = _learned(P[:length], X[:length], law, trials)
-        middle = learned[length * 3 // 8 : length * 5 // 8 + 1]
-        if np.all(np.ptp(middle, axis=0) <= STILL * middle.mean(axis=0)):
-            half = length // 2
-            return np.insert(learned, [half] * (samples - length), learned[half], axis=0)
-        length *= 2
-    return _learned(P, X, law, trials)
-
-
-def _learned(P, X, law, trials):
-    """Variance of P v, shape (time, m), on a trial as long as the impulse responses P and X."""
-    if trials == 1:
-        return np.zeros(P.shape[:2])
-    M, B, Pv = _next_trial(P, X, law)
-    added = B @ B.T
-    if trials is None:
-        V = _accumulated(M, added)
-    else:
-        V = np.zeros_like(M)
-        for _ in range(trials - 1):
-            V = _through(M, V) + added  # V = M V M^T + B X B^T
-    return np.maximum(((V @ Pv) * Pv).sum(axis=0), 0).reshape(len(P), -1)
-
-
-def _next_trial(P, X, law):
-    """M and B of v_{k+1} = M v_k - B x_k, and P v: v in cosines in each channel, x by impulses."""
-    length, m, _ = P.shape
-    cosines = _cosines(law.Q, length - law.rest, law.rest)
-    count = len(cosines)
-    of_v = law.gain * law.Q.apply_transposed(cosines.T).T
-
-    def passed_on(e):
-        """Cosines of the next v, in each channel, by signals e (any, time, m), side by side."""
-        return np.tensordot(of_v, law.L.apply(e), (1, 1)).swapaxes(1, 2).reshape(count * m, -1)
-
-    Pv = fftconvolve(cosines[:, None, :, None], np.moveaxis(P, 2, 0)[None], axes=2)
-    Pv = Pv[:, :, :length].reshape(count * m, length, m)
-    kept = of_v @ cosines.T + (1 - law.gain) * np.eye(count)
-    M = np.kron(kept, np.eye(m)) - passed_on(Pv)
-    # Noise of each sensor in each sample, (sensor, output, sample, time), in whatever order.
-    late = np.concatenate([np.zeros_like(X), X]).T
-    impulses = np.lib.stride_tricks.sliding_window_view(late, length, axis=2)[:, :, 1:]
-    blocks = np.array_split(impulses, 1 + length // SIDE_BY_SIDE, axis=2)
-    B = [passed_on(block.transpose(0, 2, 3, 1).reshape(-1, length, m)) for block in blocks]
-    return M, np.hstack(B), Pv.reshape(count * m, -1)
-
-
-def _cosines(Q, active, rest):
-    """Orthonormal rows that span what v can be: cosines that Q passes, zero in the rest."""
-    gain = Q.frequency_response(np.arange(active) * np.pi / (active * Q.Ts))
-    count = max(np.flatnonzero(gain > FAINT).max() + 1, min(active, ALL))
-    cosines = idct(np.eye(count, active), norm="ortho", axis=1)
-    return np.pad(cosines, [(0, 0), (0, rest)])

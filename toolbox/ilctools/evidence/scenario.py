@@ -12,63 +12,40 @@ degenerate: the plants of support alone lead to the same design, with probabilit
 """
 
 import numpy as np
-from scipy.optimize import bisect
-from scipy.special import betainc, betaln, expit, log_expit
+from scipy.optimize import brentq
+from scipy.special import betaln, logsumexp
 
 from ilctools import arguments
 from ilctools.problem.problem import Solution
 
 NEEDED = 1e-9  # share of all multipliers from which on a plant is one of support
-LOG_ODDS = (-700.0, 36.0)  # of a violation, as far as doubles resolve them
 
 
 def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
-    """Bound on the probability that a new plant violates what holds for independent samples."""
-    if support == samples:
+    """epsilon(k), by the equation divided by its right-hand side."""
+    N, k = samples, support
+    if k == N:
         return 1.0
-    # The sum is the distribution function of the negative binomial distribution, an incomplete beta
-    # function, so that N may be a million.
-    after, others = support + 1, samples - support
-    log_binomial = -betaln(after, others + 1) - np.log(samples + 1)
+    m = np.arange(k, N + 1)
+    log_binomials = -betaln(k + 1, m - k + 1) - np.log(m + 1)
 
-    def excess(log_odds):  # of the logarithm of the left-hand side, times epsilon^(k+1)
-        with np.errstate(divide="ignore"):
-            log_sum = np.log(betainc(after, others + 1, expit(log_odds)))
-        left = np.log(beta / (samples + 1)) + log_sum
-        in_support, not_in_it = log_expit(log_odds), log_expit(-log_odds)
-        return left - log_binomial - after * in_support - others * not_in_it
+    def excess(log_t):  # falls; positive at beta / (N + 1)^2, where the term of N - 1 is too large
+        terms = log_binomials + (m - k) * log_t
+        return logsumexp(terms - terms[-1]) - np.log((N + 1) / beta)
 
-    return float(expit(bisect(excess, *LOG_ODDS, xtol=1e-13)))
+    return float(-np.expm1(brentq(excess, np.log(beta) - 2 * np.log(N + 1), 0.0)))
 
 
 def support(solution: Solution) -> np.ndarray:
-    """Numbers of the plants, other than the nominal one, that a design depends on.
+    """Numbers of the plants, other than the nominal one, with a multiplier that counts.
 
-    They have a multiplier that is not negligible. Without the others the design stays what it is.
-    Where bounds meet that could stand in for one another, fewer may do; counting too many makes
-    the bound of :func:`violation_probability` larger, and it still holds.
-
-    See Also
-    --------
-    violation_probability : what follows from their number
-
-    Examples
-    --------
-    >>> import control
-    >>> import numpy as np
-    >>> from ilctools import support, synthesise, zero_phase_butterworth
-    >>> gains = 1 + np.random.default_rng(0).uniform(-0.1, 0.1, 20)  # off by up to 10 %
-    >>> lags = [control.tf([400 * gain], [1, 20, 400]) for gain in (1, *gains)]
-    >>> P = [control.sample_system(lag, 0.01) for lag in lags]
-    >>> design = synthesise(P, zero_phase_butterworth(2, 40.0, 0.01), M_max=0.5, order=20)
-    >>> len(support(design.solution)) < 20
-    True
+    Without the others the design stays what it is. Where bounds meet that could stand in for one
+    another, fewer may do; counting too many makes epsilon larger, and it still holds.
     """
-    cuts = arguments.instance("solution", solution, Solution).cuts
+    cuts = solution.cuts
     if cuts is None:
         return np.empty(0, dtype=int)
-    size = np.linalg.norm(cuts.N, axis=(1, 2))
-    total = np.bincount(cuts.plant, size)
+    total = np.bincount(cuts.plant, np.linalg.norm(cuts.N, axis=(1, 2)))
     needed = np.flatnonzero(total > NEEDED * total.sum())
     return needed[needed > 0]
 
@@ -92,7 +69,7 @@ def violation_probability(design, beta: float = 1e-6) -> float:
 
     See Also
     --------
-    support : the plants that count
+    synthesise : designs for several plants
 
     Examples
     --------
@@ -106,8 +83,7 @@ def violation_probability(design, beta: float = 1e-6) -> float:
     >>> 0 < violation_probability(design) < 1
     True
     """
-    solution = getattr(design, "solution", None)
-    arguments.instance("design.solution", solution, Solution)
+    solution = arguments.instance("design.solution", getattr(design, "solution", None), Solution)
     beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     samples = len(design.problem.plants) - 1
     if not samples:

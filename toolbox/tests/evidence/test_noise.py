@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import altered, stage, tanks
+from plants import altered, tanks
 from scipy.linalg import solve_discrete_lyapunov
 
 from ilctools import (
@@ -15,16 +15,12 @@ from ilctools import (
     LearningFilter,
     converged_noise,
     current_trial_loop,
-    noise_on_trial,
     run_trials,
     synthesise,
     trial_noise,
     zero_phase_butterworth,
 )
-from ilctools.alternatives import pd_type
-from ilctools.evidence import noise as evidence
 from ilctools.evidence.noise import Spectrum, TrialNoise
-from ilctools.trials.dataset import rms
 
 pytestmark = [  # after an impulse, around another plant
     pytest.mark.filterwarnings("ignore:the error grows"),
@@ -32,24 +28,14 @@ pytestmark = [  # after an impulse, around another plant
 ]
 
 
-def case(loop, cutoff, band):
-    """A loop with a law, and a grid."""
-    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    omega = np.geomspace(1e-4, 1, 500) * np.pi / loop.Ts
-    L = synthesise(loop, Q, omega, loop.Ts, order=10, band=band).filter
-    return loop, Law(Q, L), omega
-
-
-@pytest.fixture(scope="module")
-def on_stage():
-    loop = current_trial_loop(stage(), ["F"], {"x": 5.0, "F": 20.0})
-    return case(loop, 300.0, (7.0, 100.0))
-
-
 @pytest.fixture(scope="module")
 def on_tanks():
+    """A loop with a law, and a grid."""
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
-    return case(loop, 0.3, (1e-3, 0.1))
+    Q = zero_phase_butterworth(2, 0.3, loop.Ts)
+    omega = np.geomspace(1e-4, 1, 500) * np.pi / loop.Ts
+    L = synthesise(loop, Q, omega, loop.Ts, order=10, band=(1e-3, 0.1)).filter
+    return loop, Law(Q, L), omega
 
 
 def after_one(loop, law, trials, noise=None, disturbance=None, plant=None):
@@ -119,82 +105,16 @@ def test_the_rms_is_the_root_of_the_variance():
     assert both.total == pytest.approx(np.sqrt(45))
 
 
-def test_what_does_not_fit_is_refused(on_stage, on_tanks):
+def test_what_does_not_fit_is_refused(on_tanks):
     loop, law, omega = on_tanks
     new = trial_noise(loop, omega, 1.0)
     without = current_trial_loop(tanks()[:, loop.controls])
-    small, on_one, _ = on_stage
-    wrong_way, on_one_wrong = (
-        replace(x, L=replace(x.L, coefficients=-x.L.coefficients)) for x in (law, on_one)
-    )
+    wrong_way = replace(law, L=replace(law.L, coefficients=-law.L.coefficients))
     for call, message in [
         (lambda: trial_noise(loop, omega, [1.0, -1.0, 0.0]), "sensor_psd"),
         (lambda: trial_noise(without, omega, 1.0, 1.0), "disturbance_psd"),
         (lambda: trial_noise(ClosedLoop(loop.P), omega, 1.0), "loop"),
         (lambda: converged_noise(new, wrong_way), "does not converge"),
-        (lambda: noise_on_trial(small, replace(on_one, L=None), 30, 1.0), r"law\.L"),
-        (lambda: noise_on_trial(small, on_one_wrong, 300, 1.0), "does not converge"),
     ]:
         with pytest.raises(ValueError, match=message):
             call()
-
-
-def by_impulses(loop, law, variance, trials, plant):
-    """Variances of true and measured outputs in the last of some trials of 30 samples.
-
-    What an impulse in the first trial leaves k trials later is what one k trials before the last
-    leaves in the last: the law is the same from each trial to the next.
-    """
-    power = 0
-    for p, channel in np.ndindex(30, len(variance)):
-        noise = np.zeros((30, len(variance)))
-        noise[p, channel] = np.sqrt(variance[channel])
-        errors = after_one(loop, law, trials, noise, plant=plant)
-        power = power + np.sum(errors**2, axis=1)
-    return power
-
-
-@pytest.mark.parametrize(
-    ("trials", "ends", "changes"),
-    [(4, "hold", {}), (3, "zero", {"rest": 7, "gain": 0.6, "L": pd_type(0.5, 0.0, 2, 3, 2.0)})],
-    ids=["ends held", "rest"],
-)  # fmt: skip
-def test_each_impulse_of_noise_run_through_the_trials(on_tanks, trials, ends, changes):
-    """Whatever the law does at the ends, to rounding."""
-    loop, law, _ = on_tanks
-    law = replace(law, Q=replace(law.Q, ends=ends), L=replace(law.L, ends=ends))
-    law, variance = replace(law, **changes), [1.0, 4.0, 9.0]
-    plant = altered(loop.plant, A=0.97) if changes else None
-    true, measured = by_impulses(loop, law, variance, trials, plant)
-    noise = noise_on_trial(loop, law, 30, variance, trials=trials, plant=plant)
-    limit = {"rtol": 1e-9, "atol": 1e-9 * true.max()}
-    np.testing.assert_allclose(noise.true**2, true, **limit)
-    np.testing.assert_allclose(noise.measured**2, measured, **limit)
-    first = noise_on_trial(loop, law, 30, variance, trials=1, plant=plant)
-    learned = noise.true**2 - first.true**2
-    np.testing.assert_allclose(noise.learned**2, learned, **limit)
-    assert list(noise.output) == loop.outputs and noise.time[1] == loop.Ts
-
-
-def test_cut_short_in_the_middle_it_is_that_of_the_whole_trial(on_stage, monkeypatch):
-    loop, law, _ = on_stage
-    samples = 900
-    noise = noise_on_trial(loop, law, samples, 0.25)
-    monkeypatch.setattr(evidence, "ALL", samples)
-    monkeypatch.setattr(evidence, "STILL", 1e-300)
-    whole = noise_on_trial(loop, law, samples, 0.25)
-    for name in ("true", "measured"):
-        limit = 1e-3 * whole[name].max()
-        np.testing.assert_allclose(noise[name], whole[name], rtol=5e-3, atol=limit)
-        assert rms(noise[name]) == pytest.approx(float(rms(whole[name])), rel=1e-3)
-    flat = noise.learned[samples // 2]
-    assert (noise.learned == flat).all("channel").sum() > samples / 4  # it was cut
-
-
-def test_in_the_middle_it_is_that_of_trials_without_ends(on_stage, on_tanks):
-    for loop, law, omega in (on_stage, on_tanks):
-        noise = noise_on_trial(loop, law, 900, 0.25)
-        endless = converged_noise(trial_noise(loop, omega, 0.25), law)
-        for name in ("true", "learned"):
-            expected = getattr(endless, name).rms
-            np.testing.assert_allclose(noise[name][450], expected, rtol=5e-3)
