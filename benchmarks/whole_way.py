@@ -18,7 +18,7 @@ from runner import publish, run, table
 
 from ilctools import InfeasibleError, load_log, record, replay, synthesise, zero_phase_butterworth
 from ilctools.errors import RigError
-from ilctools.trials.dataset import rms
+from ilctools.trials.rms import rms
 
 TRIALS = 10
 OFF = (1.0, 3.0)  # how far the rigs are off: by some ten percent, and by three times that

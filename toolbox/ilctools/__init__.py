@@ -23,7 +23,7 @@ MODULES = {
     "evidence.robustness": "worst_case",
     "evidence.scenario": "violation_probability",
     "alternatives": "NormOptimal",
-    "trials.dataset": "rms",
+    "trials.rms": "rms",
     "trials.run": "run_trials",
     "trials.transfer": "transfer",
     "rigs.controlled": "Controller",

@@ -38,7 +38,7 @@ from ilctools.rigs.experiments import shake as shake
 from ilctools.rigs.protocol import Rig as Rig
 from ilctools.synthesis.design import synthesise as synthesise
 from ilctools.synthesis.search import least_gain as least_gain
-from ilctools.trials.dataset import rms as rms
+from ilctools.trials.rms import rms as rms
 from ilctools.trials.run import run_trials as run_trials
 from ilctools.trials.transfer import transfer as transfer
 

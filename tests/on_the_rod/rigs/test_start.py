@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from plants import ModelRig, boiler, bump
 
 from ilctools import Law, LearningFilter, current_trial_loop, record, zero_phase_butterworth
-from ilctools.trials.dataset import rms
+from ilctools.trials.rms import rms
 from ilctools.trials.start import Start
 from rodlib.paper import published
 from rodlib.rigs import VirtualRig

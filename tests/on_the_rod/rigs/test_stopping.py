@@ -22,7 +22,7 @@ from ilctools import (
 from ilctools.errors import StoppedError
 from ilctools.models import sampled_plant
 from ilctools.rigs.limits import stop_limits
-from ilctools.trials.dataset import rms
+from ilctools.trials.rms import rms
 from rodlib.rigs import RestartingRig
 
 BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])

@@ -33,12 +33,11 @@ from ilctools.trials.diagnosis import (
     errors_by_octave,
     known_P,
     largest_M,
-    octaves,
-    predicted,
-    spectrum,
-    successions,
+    predicted_effect,
     unexplained,
 )
+from ilctools.trials.recorded import successions
+from ilctools.trials.rms import harmonics, octaves, rms_by_octave
 from rodlib import paper_choices, paper_loop
 from rodlib.paper import published
 
@@ -169,9 +168,8 @@ def test_the_probability_of_an_excess_is_that_of_counting():
     noise, predicted = white(0, 3000, 3, 15, 1), white(1, 1, 15, 1).repeat(3, axis=0)
     F, n = [], np.array([8.0])  # values in the octave from harmonic 4 on
     for changes in noise:
-        size, freedom = unexplained(changes[:2] + 5 * predicted[:2], predicted[:2])
-        last = np.add.reduceat(spectrum(changes[2]).sum(axis=1), octaves(15))
-        F.append(last[2] / size[2])
+        _, size, freedom = unexplained(changes[:2] + 5 * predicted[:2], predicted[:2])
+        F.append(rms_by_octave(changes[2])[2] ** 2 / size[2])
         assert freedom[2] <= n
     for f in (1.5, 4.0):
         p = chance_of_excess(np.sqrt([f]), 1.0, n, 2)
@@ -184,16 +182,16 @@ def test_degrees_of_freedom_count_independent_values():
     wave = np.sin(2 * np.pi * np.arange(800) / 80)[:, None]
     cases = (white(1, 800, 1), 200, 800), (wave, 2, 2.001), (0 * wave, 2, 2)
     for signal, low, high in cases:
-        assert low <= degrees_of_freedom(spectrum(signal)).item() <= high
+        assert low <= degrees_of_freedom(np.abs(harmonics(signal)) ** 2).item() <= high
 
 
 @pytest.mark.parametrize("samples", [2, 3, 64, 1023])
 def test_octaves_share_the_mean_square(samples):
-    signals = white(samples, 3, samples, 2)
-    power = np.add.reduceat(spectrum(signals).sum(axis=2), octaves(samples), axis=1)
-    np.testing.assert_allclose(power.sum(1), (signals**2).sum(2).mean(1), rtol=1e-12)
+    signal = white(samples, samples, 2)
+    power = rms_by_octave(signal) ** 2
+    assert power.sum() == pytest.approx((signal**2).sum(axis=1).mean(), rel=1e-12)
     wave = np.cos(2 * np.pi * np.arange(samples) / samples)[:, None]
-    assert spectrum(wave).argmax() == 1 and octaves(samples)[0] == 0
+    assert np.abs(harmonics(wave)).argmax() == 1 and octaves(samples)[0] == 0
 
 
 def test_trials_are_compared_with_those_of_the_same_reference(cases):
@@ -260,12 +258,14 @@ def test_ratios_by_octave_are_those_of_M():
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(law.loop, law, reference, trials=2, plant=plant)
     P = known_P(law)
-    table = errors_by_octave(law, largest_M(law, P), run.assign(predicted(run, law, P)), 1, 0)
+    run = run.assign(effect=(run.v.dims, predicted_effect(run, law, P)))
+    table = errors_by_octave(law, largest_M(law, P), run, 0, 1)
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]
-    octave = np.searchsorted(table["frequency"][:-1], omega * (1 + 1e-9))
-    large = np.flatnonzero(table["before"] > 1e-3 * table["before"].max())
+    octave = np.searchsorted(table.frequency[:-1], omega * (1 + 1e-9))
+    size = rms_by_octave(run.e.values[0])
+    large = np.flatnonzero(size > 1e-3 * size.max())
     for name, other in (("predicted", None), ("measured", plant)):
         M = Q * (1 - law.loop.frequency_response(omega, other)[:, 0, 0] * L)
         change = 1 - law.gain + law.gain * (M + 1 - Q)

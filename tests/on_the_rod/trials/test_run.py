@@ -20,7 +20,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.models import state_sequence
-from ilctools.trials.dataset import rms
+from ilctools.trials.rms import rms
 from rodlib import Rod, midr
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.paper import published

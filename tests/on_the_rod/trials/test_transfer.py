@@ -20,7 +20,7 @@ from ilctools import (
     transfer,
     zero_phase_butterworth,
 )
-from ilctools.trials.dataset import rms
+from ilctools.trials.rms import rms
 from rodlib import midr, paper_loop
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.rigs import MISMATCHED

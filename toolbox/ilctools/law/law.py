@@ -32,15 +32,6 @@ class Region:
         spline = make_interp_spline(self.omega, self.response, min(3, len(self.omega) - 1))
         return spline(at), np.interp(at, self.omega, self.radius)
 
-    def outputs(self, v, Ts: float) -> np.ndarray:
-        """P v from rest, and v times the radius: the most that Delta adds; (2, ..., time, m)."""
-        samples = v.shape[-2]
-        size = 2 * samples
-        P, radius = self.on(2 * np.pi * np.fft.rfftfreq(size, Ts))
-        V = np.fft.rfft(v, size, axis=-2)[..., None]
-        spectra = np.stack([P @ V, radius[:, None, None] * V])
-        return np.fft.irfft(spectra[..., 0], size, axis=-2)[..., :samples, :]
-
 
 @dataclass(frozen=True, eq=False)
 class Law:

@@ -21,8 +21,9 @@ from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.law.repetitive import next_samples, repeated
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.trials.dataset import commands, outputs_of, rms
-from ilctools.trials.diagnosis import applied_v, diagnose
+from ilctools.trials.diagnosis import diagnose
+from ilctools.trials.recorded import applied_v, commands, outputs_of
+from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
 

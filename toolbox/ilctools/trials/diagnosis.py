@@ -14,19 +14,21 @@ where its RMS rises by more than noise explains. How large noise is follows from
 themselves: it is what does not repeat, however coloured, and what v does not explain.
 """
 
+from collections.abc import Callable
 from functools import partial
-from math import factorial
+from itertools import product
 
-import control
 import numpy as np
+import pandas as pd
 import xarray as xr
-from scipy.special import fdtrc
+from scipy.special import factorial, fdtrc
 
 from ilctools.evidence.convergence import convergence
-from ilctools.law.law import Law, Region
-from ilctools.law.notes import RESET
+from ilctools.law.law import Law
+from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
-from ilctools.trials.dataset import commands, outputs_of, rms_of, runs
+from ilctools.trials.recorded import applied_v, runs, successions
+from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
 from ilctools.units import by_unit
 
 SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
@@ -61,69 +63,48 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     dict
         The first warning of each kind: "growth" and "model".
     """
+    found = findings(trials, law, first, exact)
+    return {kind: WORDS[kind].format(**values) for kind, values in found.items()}
+
+
+def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) -> dict[str, dict]:
+    """The first finding of each kind, as numbers; `where`: in which outputs, if units differ."""
     if law.L is None:
         return {}
-    warnings, groups = {}, by_unit(trials.output_unit.values.tolist()).values()
-    tests = {"growth": error_grows}
+    found, tests = {}, {"growth": error_grows}
+    groups = by_unit(trials.output_unit.values.tolist()).values()
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         if not exact and (P := known_P(law)) is not None:
-            trials, sigma = trials.assign(predicted(trials, law, P)), largest_M(law, P)
-            tests["model"] = partial(breaks_promise, law, sigma)
-        for channels in groups:
-            group = trials.isel(channel=channels)
-            names = f"{', '.join(group.output.values)}: " if len(groups) > 1 else ""
-            for k, since in enumerate(successions(group)):
-                alike = group.isel(trial=slice(since, k + 1))
-                for kind, test in tests.items() if first - 1 <= k > since else ():
-                    text = "" if kind in warnings else test(alike)
-                    warnings |= {kind: names + text} if text else {}
-    return warnings
+            trials = trials.assign(effect=(AXES, predicted_effect(trials, law, P)))
+            tests["model"] = partial(plant_differs, law, largest_M(law, P))
+        for channels, (k, since) in product(groups, enumerate(successions(trials))):
+            if not first - 1 <= k > since:
+                continue
+            alike = trials.isel(channel=channels, trial=slice(since, k + 1))
+            where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
+            for kind, test in tests.items():
+                if kind not in found and (values := test(alike)):
+                    found[kind] = {"where": where} | values
+    return found
 
 
-def successions(trials: xr.Dataset) -> np.ndarray:
-    """Index of the first of the trials in succession that have each trial's reference.
-
-    Without reset, not of the first: it is the only one that starts from rest.
-    """
-    changes = np.any(np.diff(trials.reference.values, axis=0), axis=(1, 2))
-    changes[:1] |= RESET in trials.attrs
-    first = np.arange(trials.sizes["trial"]) * np.append(True, changes)
-    return np.maximum.accumulate(first)
-
-
-def applied_v(trials: xr.Dataset, law: Law) -> np.ndarray:
-    """v (trial, time, m) as far as it was applied."""
-    if not law.limits:
-        return trials.v.values
-    v, _ = law.applied(trials.v.values, **commands(trials, law.loop, law.actuators))
-    return v
-
-
-def error_grows(trials: xr.Dataset) -> str:
+def error_grows(trials: xr.Dataset) -> dict:
     """Null hypothesis: errors of trials with one reference are noise of one variance.
 
     It is tested where the error rose several times in succession up to the last trial, or to a
     multiple at once.
     """
-    e, numbers = trials.e.values, trials.trial.values
-    size = rms_of(trials.e).values
+    e, size = trials.e.values, rms_of(trials.e).values
     size = np.maximum(size, ROUNDING * max(np.abs(trials.reference.values).max(), *size))
-    before = np.flatnonzero(np.append(True, size[1:] <= size[:-1]))[-1]  # since then it rises
-    rises, least = len(size) - 1 - before, GROWTH
+    rises, least = np.append(size[:0:-1] > size[-2::-1], False).argmin(), GROWTH
+    before = len(size) - 1 - rises
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
     growth, noise = size[-1] / size[before], AMPLIFICATION * np.linalg.norm(noise_std(e[0]))
-    freedom = degrees_of_freedom(spectrum(e[-1] - e[-2])).item()
+    freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
     if growth < least or size[-1] < noise or chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
-        return ""
-    return (
-        "the error grows, by more than noise explains: its RMS was "
-        f"{size[before]:.3g} in trial {numbers[before]} and is {size[-1]:.3g} in trial "
-        f"{numbers[-1]}. Unless there was a new disturbance, the law diverges, or the plant "
-        "differs from the model: measure P (shake), or learn less, by a lower cut-off of Q or a "
-        "smaller learning gain. With sigma_max(M) below 1 the ends of a trial may be the cause: "
-        "bound L (L_max) so that trial_norm is below 1, too, or let reference and v rest there"
-    )
+        return {}
+    return {"trials": trials.trial.values[[before, -1]], "rms": size[[before, -1]]}
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
@@ -135,98 +116,104 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
     """
     pairs = trials * (trials - 1)
     exceeds = pairs * fdtrc(freedom, freedom, min(ratio, 1e100) ** 2)
-    return min(1.0, exceeds) / factorial(min(trials, 100))
+    return min(1.0, exceeds) / factorial(trials)
 
 
-def known_P(law: Law) -> control.StateSpace | Region | None:
-    """The model of the law's loop; without one, P of its design and the radius."""
-    model = None if law.loop is None else law.loop.P
-    return law.region if model is None else model
+def known_P(law: Law) -> Callable | None:
+    """P and its radius over omega: of the model of the law's loop, or else as its design had it."""
+    model = getattr(law.loop, "P", None)
+    if model is None:
+        return law.region and law.region.on
+    return lambda omega: (frequency_response(model, omega), np.zeros(len(omega)))
 
 
-def predicted(trials: xr.Dataset, law: Law, P: control.StateSpace | Region) -> dict:
-    """P v, by which v lowers the error, and by how much it may be off where P has a radius."""
+def predicted_effect(trials: xr.Dataset, law: Law, P: Callable) -> np.ndarray:
+    """P v from rest, by which v lowers the error, (trial, time, m).
+
+    By transforms of twice the length, after which the impulse response has decayed.
+    """
     v = applied_v(trials, law)
-    if isinstance(P, Region):
-        effect, spread = P.outputs(runs(v, trials), law.Ts).reshape(2, *v.shape)
-    else:
-        effect, spread = outputs_of(P, v, trials), np.zeros_like(v)
-    return {"effect": (AXES, effect), "spread": (("trial", "time", "input"), spread)}
+    run = runs(v, trials)
+    samples = run.shape[1]
+    response, _ = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
+    effect = response @ np.fft.rfft(run, 2 * samples, axis=1)[..., None]
+    return np.fft.irfft(effect[..., 0], axis=1)[:, :samples].reshape(v.shape)
 
 
-def largest_M(law: Law, P: control.StateSpace | Region) -> np.ndarray:
+def largest_M(law: Law, P: Callable) -> np.ndarray:
     """sigma_max(M) on GRID, at most where P has a radius."""
-    omega, radius = GRID / law.Ts, 0.0
-    if isinstance(P, Region):
-        P, radius = P.on(omega)
-    rate = convergence(P, law.Q, law.L, omega)
+    response, radius = P(GRID / law.Ts)
+    rate = convergence(response, law.Q, law.L, GRID / law.Ts)
     _, Q, L = rate.responses
     return rate.sigma + np.abs(Q) * radius * largest_singular_values(L)
 
 
-def breaks_promise(law: Law, sigma, trials: xr.Dataset) -> str:
+def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -> pd.DataFrame:
+    """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
+
+    `bound` is sigma_max(M) and what Q leaves, by (1); `predicted` follows from (2), ends included;
+    `measured` is the error of trial k. `excess` is the RMS by which it exceeds both.
+    """
+    e, effect = trials.e.values, trials.effect.values
+    frequency = octaves(e.shape[1]) * 2 * np.pi / e.shape[1]  # times Ts
+    sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, frequency))
+    free = e[before] + effect[before]  # the error without v
+    size = np.maximum(rms_by_octave(e[before]), TINY)
+    kept = rms_by_octave(free - law.Q.apply(free))  # (1 - Q) e_free
+    bound = 1 - law.gain + law.gain * (sigma + kept / size)  # (1)
+    predicted = rms_by_octave(free - effect[k]) / size  # (2)
+    measured = rms_by_octave(e[k]) / size
+    table = {"bound": bound, "predicted": predicted, "measured": measured}
+    table["frequency"] = np.append(frequency[1:], np.pi) / law.Ts
+    table["excess"] = size * np.maximum(measured - np.maximum(bound, predicted), 0)
+    return pd.DataFrame(table)
+
+
+def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     """F test, octave by octave, of errors against what an earlier one promises.
 
     The last trial is compared with the one before and with the best so far, and the second one with
     the first, from which most is to be learned. Null hypothesis: the trials differ from the model's
     prediction by noise alone, independent from trial to trial, by less than the promise allows, or
-    by a disturbance that grows from trial to trial.
+    by a disturbance that grows from trial to trial, by as much in each.
     """
     e, size, last = trials.e.values, rms_of(trials.e).values, trials.sizes["trial"] - 1
     if last < 2:  # noise is known from two changes on
-        return ""
-    changes, predicted = np.diff(e, axis=0), -np.diff(trials.effect.values, axis=0)
-    noise, freedom = unexplained(changes, predicted)
+        return {}
+    changes, expected = np.diff(e, axis=0), -np.diff(trials.effect.values, axis=0)
+    came, noise, freedom = unexplained(changes, expected)
     noise = noise + (ROUNDING * np.abs(e[last]).max()) ** 2
-    for before, trial in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
-        errors = errors_by_octave(law, sigma, trials, trial, before)
-        promised = np.maximum(errors["bound"], errors["predicted"])
-        excess = errors["before"] * np.maximum(errors["measured"] - promised, 0)
-        drift = excess / (trial - before)  # of disturbances, if each trial adds as much
-        p = chance_of_excess(drift, noise, freedom, last)
-        significant = (p < SIGNIFICANCE) * excess
+    for before, k in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
+        errors = errors_by_octave(law, sigma, trials, before, k)
+        p = chance_of_excess(errors.excess / (k - before), noise, freedom, last)
+        significant = errors.excess * (p < SIGNIFICANCE)
         worst = significant.argmax()
         if significant[worst] > EXCESS * size[0]:
-            numbers = trials.trial.values[[before, trial]]
-            octave = {name: values[worst] for name, values in errors.items()}
-            return _broken(*numbers, octave, _came(changes, predicted, trials.output.values))
-    return ""
+            channel = np.abs(came[worst] - 1).argmax()
+            names, numbers = trials.output.values, trials.trial.values
+            share = {"came": came[worst, channel], "output": names[channel]}
+            return {"trials": numbers[[before, k]], **share, **errors.loc[worst]}
+    return {}
 
 
-def _came(changes, predicted, names):
-    """Which share of the predicted changes came, in words."""
-    pairs = zip(changes.T, predicted.T, names, strict=True)
-    return ", ".join(
-        f"{np.vdot(p, change) / max(TINY, np.vdot(p, p)):.2g} in {name}"
-        for change, p, name in pairs
-    )
-
-
-def _broken(before, trial, octave, came):
-    """The warning, of the errors of two trials in one octave."""
-    return (
-        f"the convergence rate is not the predicted one: up to {octave['frequency']:.2g} rad/s, "
-        f"trial {trial} has {octave['measured']:.2f} of the error of trial "
-        f"{before}; the model predicts {octave['predicted']:.2f}, {octave['bound']:.2f} at "
-        "most, and noise is less. Unless there was a new disturbance, the plant differs from the "
-        f"model: of the changes that this predicts, {came} came; is a sensor or an actuator at its "
-        "limit, exchanged or reversed? Else measure P (shake), or expect this rate"
-    )
-
-
-def unexplained(changes, predicted) -> tuple[np.ndarray, np.ndarray]:
+def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What a gain and a phase for each octave and output cannot explain of changes between trials.
 
-    Signals are (trial, time, channel). Returns the mean square in a trial, by octaves, with its
-    degrees of freedom.
+    Signals are (trial, time, channel). Returns the real parts (octave, channel), the mean square of
+    the remainder in a trial, by octaves, and its degrees of freedom.
     """
-    samples = changes.shape[1]
-    edges = octaves(samples)
-    Y, X = np.fft.rfft(changes, axis=1), np.fft.rfft(predicted, axis=1)
-    XY, XX = (np.add.reduceat(np.sum(X.conj() * Z, axis=0), edges) for Z in (Y, X))
-    gain = np.repeat(XY / np.maximum(XX.real, TINY), np.diff(edges, append=Y.shape[1]), axis=0)
-    power = spectrum(np.fft.irfft(Y - gain * X, samples, axis=1)).mean(axis=0)
-    return np.add.reduceat(power.sum(axis=1), edges), degrees_of_freedom(power, edges)
+    first, Y, X = octaves(changes.shape[1]), harmonics(changes), harmonics(expected)
+    XY, XX = (np.add.reduceat(np.sum(X.conj() * Z, axis=0), first) for Z in (Y, X))
+    gain = XY / np.maximum(XX.real, TINY)
+    remainder = Y - np.repeat(gain, np.diff(first, append=Y.shape[1]), axis=0) * X
+    power = np.mean(np.abs(remainder) ** 2, axis=0)
+    return gain.real, np.add.reduceat(power.sum(axis=1), first), degrees_of_freedom(power, first)
+
+
+def degrees_of_freedom(power, first=(0,)) -> np.ndarray:
+    """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
+    total, squares = (np.add.reduceat(values.sum(axis=1), first) for values in (power, power**2))
+    return np.maximum(2, 2 * total**2 / np.maximum(squares, TINY))
 
 
 def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
@@ -241,55 +228,21 @@ def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
     return len(excess) * fdtrc(freedom, others, F)
 
 
-def errors_by_octave(
-    law: Law, sigma, trials: xr.Dataset, k: int, before: int
-) -> dict[str, np.ndarray]:
-    """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
-
-    `before` is the RMS of that error. Relative to it, `bound` is sigma_max(M) and what Q leaves,
-    by (1); `predicted` follows from (2), ends included; `measured` is the error of trial k.
-    """
-    e, effect, spread = (trials[name].values for name in ("e", "effect", "spread"))
-    samples = e.shape[1]
-    first = octaves(samples)
-    edges = np.append(first, samples // 2 + 1) * 2 * np.pi / samples
-    sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, edges[:-1]))
-
-    def size(signal):
-        return np.sqrt(np.add.reduceat(spectrum(signal).sum(axis=-1), first))
-
-    free = e[before] + effect[before]  # the error without v
-    error = np.maximum(size(e[before]), TINY)
-    kept = size(free - law.Q.apply(free))  # (1 - Q) e_free
-    return {
-        "frequency": edges[1:] / law.Ts,
-        "before": error,
-        "bound": 1 - law.gain + law.gain * (sigma + kept / error),  # (1)
-        "predicted": (size(free - effect[k]) + size(spread[k] - spread[before])) / error,  # (2)
-        "measured": size(e[k]) / error,
-    }
-
-
-def octaves(samples: int) -> np.ndarray:
-    """The first harmonic of each octave of a trial's spectrum: 0, 2, 4, 8, ..."""
-    return np.append(0, 2 ** np.arange(1, (samples // 2).bit_length()))
-
-
-def spectrum(signals) -> np.ndarray:
-    """Mean square of signals (..., time, channel) at each harmonic, (..., harmonic, channel)."""
-    samples = signals.shape[-2]
-    power = np.abs(np.fft.rfft(signals, axis=-2) / samples) ** 2
-    power[..., 1 : (samples + 1) // 2, :] *= 2
-    return power
-
-
-def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
-    """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
-    total, squares = (np.add.reduceat(values.sum(axis=1), edges) for values in (power, power**2))
-    return np.maximum(2, 2 * total**2 / np.maximum(squares, TINY))
-
-
-def noise_std(signals) -> np.ndarray:
-    """Standard deviation of white noise in signals (time, channel), from neighbours in time."""
-    bends = np.diff(signals, 2, axis=0)
-    return np.sqrt(np.sum(bends**2, axis=0) / (6 * max(1, len(bends))))
+WORDS = {
+    "growth": (
+        "{where}the error grows, by more than noise explains: its RMS was {rms[0]:.3g} in trial "
+        "{trials[0]} and is {rms[1]:.3g} in trial {trials[1]}. Unless there was a new disturbance, "
+        "the law diverges, or the plant differs from the model: measure P (shake), or learn less, "
+        "by a lower cut-off of Q or a smaller learning gain. With sigma_max(M) below 1 the ends of "
+        "a trial may be the cause: bound L (L_max) so that trial_norm is below 1, too, or let "
+        "reference and v rest there"
+    ),
+    "model": (
+        "{where}the convergence rate is not the predicted one: up to {frequency:.2g} rad/s, trial "
+        "{trials[1]} has {measured:.2f} of the error of trial {trials[0]}; the model predicts "
+        "{predicted:.2f}, {bound:.2f} at most, and noise is less. Unless there was a new "
+        "disturbance, the plant differs from the model: of the changes that this predicts, "
+        "{came:.2g} in {output} came; is a sensor or an actuator at its limit, exchanged or "
+        "reversed? Else measure P (shake), or expect this rate"
+    ),
+}

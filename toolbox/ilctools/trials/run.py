@@ -22,9 +22,9 @@ from ilctools.law.repetitive import check_period
 from ilctools.loop.closed import CurrentTrialLoop, Loop, with_noise
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
-from ilctools.trials.dataset import commands
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import joined, learn, next_v
+from ilctools.trials.recorded import commands
 from ilctools.trials.start import Start
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ilctools.loop.closed import Loop
-from ilctools.trials.diagnosis import noise_std
+from ilctools.trials.rms import noise_std
 from ilctools.units import by_unit, with_unit
 
 NEAR = 0.02  # of the largest reference in the same unit, that a start may be off

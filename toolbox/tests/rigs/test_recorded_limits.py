@@ -22,7 +22,7 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from ilctools.models import sampled_plant
-from ilctools.trials.dataset import rms
+from ilctools.trials.rms import rms
 
 CASES = {  # loop, cut-off, heights, limits
     "stage, rates": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0, 500.0)}),

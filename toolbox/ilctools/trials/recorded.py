@@ -1,49 +1,14 @@
-"""What follows from the signals of trials: their RMS, commands, and outputs of a model."""
+"""What trials were: their commands, what was applied of v, and what a model makes of inputs."""
 
 import control
 import numpy as np
 import xarray as xr
 
-from ilctools import arguments
+from ilctools.law.law import Law
 from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET
 from ilctools.loop.closed import Loop
 from ilctools.models import state_sequence
-
-
-def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
-    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
-
-    `e` is a DataArray with the dimensions time and channel, or a dataset of trials or a log with
-    reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
-
-    See Also
-    --------
-    run_trials : trials with an error e
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import xarray as xr
-    >>> from ilctools import rms
-    >>> e = xr.DataArray(np.ones((2, 9, 2)), dims=("trial", "time", "channel"))
-    >>> rms(e).values.round(4)
-    array([1.4142, 1.4142])
-    """
-    if isinstance(e, xr.Dataset):
-        if not {"reference", "y"} <= set(e):
-            raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
-        e = e.reference - e.y
-    arguments.instance("e", e, xr.DataArray)
-    if not {"time", "channel"} <= set(e.dims):
-        raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
-    arguments.array("e", e.values, (...,))
-    return rms_of(e)
-
-
-def rms_of(e: xr.DataArray) -> xr.DataArray:
-    """RMS(e_k), also of what is not finite."""
-    return np.sqrt((e**2).sum("channel").mean("time"))
 
 
 def commands(
@@ -71,3 +36,22 @@ def outputs_of(model: control.StateSpace, inputs, trials: xr.Dataset) -> np.ndar
         x = state_sequence(model.A, run @ model.B.T, rest)
         outputs.append(x @ model.C.T + run @ model.D.T)
     return np.reshape(outputs, (*inputs.shape[:2], -1))
+
+
+def applied_v(trials: xr.Dataset, law: Law) -> np.ndarray:
+    """v (trial, time, m) as far as it was applied."""
+    if not law.limits:
+        return trials.v.values
+    v, _ = law.applied(trials.v.values, **commands(trials, law.loop, law.actuators))
+    return v
+
+
+def successions(trials: xr.Dataset) -> np.ndarray:
+    """Index of the first of the trials in succession that have each trial's reference.
+
+    Without reset, not of the first: it is the only one that starts from rest.
+    """
+    changes = np.any(np.diff(trials.reference.values, axis=0), axis=(1, 2))
+    changes[:1] |= RESET in trials.attrs
+    first = np.arange(trials.sizes["trial"]) * np.append(True, changes)
+    return np.maximum.accumulate(first)

@@ -1,0 +1,69 @@
+"""How large the signals of trials are: their RMS, by harmonics and octaves, and their noise."""
+
+import numpy as np
+import xarray as xr
+
+from ilctools import arguments
+
+
+def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
+    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
+
+    `e` is a DataArray with the dimensions time and channel, or a dataset of trials or a log with
+    reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
+
+    See Also
+    --------
+    run_trials : trials with an error e
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xarray as xr
+    >>> from ilctools import rms
+    >>> e = xr.DataArray(np.ones((2, 9, 2)), dims=("trial", "time", "channel"))
+    >>> rms(e).values.round(4)
+    array([1.4142, 1.4142])
+    """
+    if isinstance(e, xr.Dataset):
+        if not {"reference", "y"} <= set(e):
+            raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
+        e = e.reference - e.y
+    arguments.instance("e", e, xr.DataArray)
+    if not {"time", "channel"} <= set(e.dims):
+        raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
+    arguments.array("e", e.values, (...,))
+    return rms_of(e)
+
+
+def rms_of(e: xr.DataArray) -> xr.DataArray:
+    """RMS(e_k), also of what is not finite."""
+    return np.sqrt((e**2).sum("channel").mean("time"))
+
+
+def harmonics(signals) -> np.ndarray:
+    """Fourier coefficients (..., harmonic, channel) of signals (..., time, channel).
+
+    Their squares add up to the mean square.
+    """
+    samples = signals.shape[-2]
+    coefficients = np.fft.rfft(signals, axis=-2) / samples
+    coefficients[..., 1 : (samples + 1) // 2, :] *= np.sqrt(2)  # of harmonic and conjugate
+    return coefficients
+
+
+def octaves(samples: int) -> np.ndarray:
+    """The first harmonic of each octave of a trial: 0, 2, 4, 8, ..."""
+    return np.append(0, 2 ** np.arange(1, (samples // 2).bit_length()))
+
+
+def rms_by_octave(signal) -> np.ndarray:
+    """RMS of a signal (time, channel) in each octave, over all channels."""
+    power = np.sum(np.abs(harmonics(signal)) ** 2, axis=1)
+    return np.sqrt(np.add.reduceat(power, octaves(len(signal))))
+
+
+def noise_std(signals) -> np.ndarray:
+    """Standard deviation of white noise in signals (time, channel), from neighbours in time."""
+    bends = np.diff(signals, 2, axis=0)
+    return np.sqrt(np.sum(bends**2, axis=0) / (6 * max(1, len(bends))))
