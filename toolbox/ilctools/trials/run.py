@@ -121,20 +121,13 @@ def run_trials(
     reset = arguments.flag("reset", reset)
     trials = arguments.whole("trials", trials, 1)
     simulated = _Simulated(loop, plant, law.actuators, initial_state)
-    r = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
-    samples = r.shape[1]
-    first = law.first(samples, v)
-    d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
-    d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances, loop.Ts)
-    noise = np.zeros(r.shape) if noise is None else noise
-    noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
-    if not simulated.ours and d.any():
-        raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
+    r, d, n = _of_trials(loop, trials, reference, disturbance, noise)
+    first = law.first(r.shape[1], v)
     if not reset:
-        check_period(law, samples)
+        check_period(law, r.shape[1])
 
-    r, flows, white = (np.concatenate(signal) for signal in (r, d, noise))
-    with tqdm(total=len(r), desc="samples", delay=3, disable=None) as bar:
+    references, flows, white = (np.concatenate(signal) for signal in (r, d, n))
+    with tqdm(total=len(references), desc="samples", delay=3, disable=None) as bar:
 
         def run(w, now):
             bar.update(len(w))
@@ -142,8 +135,8 @@ def run_trials(
                 simulated.reset()
             return simulated.run(w, flows[now], white[now])
 
-        parts = learn(run, partial(next_v, law, first, reset), r)
-    signals = {name: x.reshape(trials, samples, -1) for name, x in joined(parts).items()}
+        parts = learn(run, partial(next_v, law, first, reset), references)  # (22), (23)
+    signals = {name: x.reshape(*r.shape[:2], -1) for name, x in joined(parts).items()}
     names = loop.outputs, loop.controls, loop.disturbances
     result = dataset(loop.Ts, *names, loop.units, **signals, disturbance=d)
     if not reset:
@@ -153,20 +146,33 @@ def run_trials(
     return result
 
 
+def _of_trials(loop, trials, reference, disturbance, noise):
+    """Reference, disturbance and noise of all trials, (trial, time, channel), checked."""
+    r = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
+    samples, sources = r.shape[1], loop.disturbances
+    d = np.zeros((samples, len(sources))) if disturbance is None else disturbance
+    d = arguments.each_trial("disturbance", d, trials, samples, sources, loop.Ts)
+    if not isinstance(loop, CurrentTrialLoop) and d.any():
+        raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
+    noise = np.zeros(r.shape) if noise is None else noise
+    return r, d, arguments.in_columns("noise", noise, r.shape, loop.outputs)
+
+
 class _Simulated:
     """The loop (19) around a plant, or P of a loop whose controller is not ours, by samples."""
 
     def __init__(self, loop, plant, actuators, initial_state):
         self.loop, self.actuators, m = loop, actuators, len(loop.outputs)
         self.ours = isinstance(loop, CurrentTrialLoop)
-        model = with_noise(loop, plant) if self.ours else loop.model(plant)
-        self.A, self.C = model.A, model.C
-        self.B, self.E = np.split(model.B, [m], axis=1)  # of w; of d and noise, which P lacks
-        self.D, self.F = np.split(model.D, [m], axis=1)
-        self.of_plant = model.nstates - len(loop.KL) if self.ours else model.nstates
-        x = np.zeros(self.of_plant) if initial_state is None else initial_state
-        x = arguments.array("initial_state", x, (self.of_plant,))
-        self.initial = np.append(x, np.zeros(model.nstates - len(x)))
+        self.model = with_noise(loop, plant) if self.ours else loop.model(plant)
+        n = self.model.nstates
+        self.K, self.N, observed = np.zeros((m, n)), np.eye(m), 0
+        if self.ours:  # u of w and the states, of which the observer's are the last
+            observed, self.N = len(loop.KL), loop.N
+            self.K[:, n - observed :] = np.hstack([-loop.Ks, -np.eye(m)])  # (18)
+        x = np.zeros(n - observed) if initial_state is None else initial_state
+        x = arguments.array("initial_state", x, (n - observed,))
+        self.initial = np.append(x, np.zeros(observed))
         self.reset()
 
     def reset(self):
@@ -175,39 +181,30 @@ class _Simulated:
 
     def run(self, w, d, noise):
         """The signals of a trial, or of a part of one."""
-        m = w.shape[1]
-        others = np.hstack([d, noise])[:, : self.E.shape[1]]
-        forcing = others @ self.E.T
-        states = state_sequence(self.A, w @ self.B.T + forcing, self.state)  # (19)
-        commands = {"u": self.controls(w, states)}
+        model, m = self.model, w.shape[1]
+        inputs = np.hstack([w, d, noise])[:, : model.ninputs]  # P has w alone
+        x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
+        signals = {"u": x @ self.K.T + w @ self.N.T}  # (18)
         if self.actuators is not None:
-            if not self.actuators.can(commands["u"], before=self.applied):
-                w, commands["u"] = self.within_limits(w, forcing)
-                states = state_sequence(self.A, w @ self.B.T + forcing, self.state)
-            commands["applied"] = self.actuators.follow(commands["u"], self.applied)
-            self.applied = commands["applied"][-1]
-        self.state = self.A @ states[-1] + self.B @ w[-1] + forcing[-1]
-        y = states @ self.C.T + w @ self.D.T + others @ self.F.T + noise
-        return commands | {"y": y, "delta": states[:, -m:]} if self.ours else {"y": y}
+            if not self.actuators.can(signals["u"], before=self.applied):
+                inputs[:, :m], signals["u"] = self.within_limits(inputs, m)
+                x = state_sequence(model.A, inputs @ model.B.T, self.state)
+            signals["applied"] = self.actuators.follow(signals["u"], self.applied)
+            self.applied = signals["applied"][-1]
+        self.state = model.A @ x[-1] + model.B @ inputs[-1]
+        y = x @ model.C.T + inputs @ model.D.T + noise
+        return signals | {"y": y, "delta": x[:, -m:]} if self.ours else {"y": y}
 
-    def controls(self, w, states):
-        """u, from w and the states, of which the observer's are the last."""
-        if not self.ours:
-            return w
-        m = len(self.loop.outputs)
-        x_hat, delta = states[..., self.of_plant : -m], states[..., -m:]
-        return w @ self.loop.N.T - x_hat @ self.loop.Ks.T - delta  # (18)
-
-    def within_limits(self, w, forcing):
+    def within_limits(self, inputs, m):
         """The w with which the loop asks for what is applied, and what it asks for with w."""
-        w_applied, u = np.empty_like(w), np.empty_like(w)
-        state, before = self.state, self.applied
-        for p in range(len(w)):
-            u[p] = self.controls(w[p], state)
-            before = self.actuators.next(u[p], before)
-            w_applied[p] = self.loop.realised(w[p], u[p], before)
-            state = self.A @ state + self.B @ w_applied[p] + forcing[p]
-        return w_applied, u
+        inputs, u = inputs.copy(), np.empty((len(inputs), m))
+        x, applied = self.state, self.applied
+        for p, now in enumerate(inputs):
+            u[p] = self.K @ x + self.N @ now[:m]
+            applied = self.actuators.next(u[p], applied)
+            now[:m] = self.loop.realised(now[:m], u[p], applied)
+            x = self.model.A @ x + self.model.B @ now
+        return inputs[:, :m], u
 
 
 def _warnings(result, law, exact, from_rest):
