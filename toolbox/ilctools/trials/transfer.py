@@ -41,6 +41,7 @@ STATIC = 1e6  # of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
 PENALTY = 2.0  # unless F(0) /= 0 makes each trial so many times as likely
 RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
+TINY = np.finfo(float).tiny  # instead of a zero that divides
 ROUNDING = 1e-14  # of the power, below which residuals are rounding
 PREDICTED = 0.9  # share of v + e with less of which a warning comes
 UNCERTAIN = 0.2  # share of v that may be uncertain without one
@@ -112,34 +113,8 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     True
     """
     v, y, references, outputs = _signals(trials)
-    K, N, m = y.shape
-    reference = arguments.in_columns("reference", reference, ("time", m), outputs)
-    size = np.sqrt(np.mean(y**2, axis=(0, 1)))
-    size[size == 0] = 1.0
-    basis = _basis(max(1, N // 2))
-    targets = references + v - y  # v_k + e_k
-    taps = np.array([_taps(output / size, basis) for output in y])
-    columns = np.concatenate([taps, targets], axis=2)  # Phi_k, t_k
-    mean = columns.mean(axis=0)
-    fits = _Fits(sum(map(_products, columns - mean)), K * _products(mean), K, m)
-
-    f, without = fits.likeliest(RATIOS if K > 1 else RATIOS[:1])
-    rho, predicted = fits.variances(without)
-    by_differences, _ = fits.likeliest([0.0])  # between trials, alone
-    X = _taps(reference / size, basis)
-    past = np.zeros((len(reference), columns.shape[2]))
-    past[:N] = mean[: len(reference)]
-    Phi, t = past[:, :-m], past[:, -m:]
-
-    def first_signal(f, rho):
-        return X @ f + (1 - rho) * (t - Phi @ f)  # F r + c, (3)
-
-    v = first_signal(f, rho)
-    jackknife = (1 - 1 / BLOCKS) * sum((first_signal(other, rho) - v) ** 2 for other in without)
-    distance = first_signal(by_differences, 0.0) - v
-    uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
-    F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
-    result = Transfer(v, X @ f, v - X @ f, F, predicted, uncertainty)
+    reference = arguments.in_columns("reference", reference, ("time", y.shape[2]), outputs)
+    result = _fitted(v, y, references, reference)
     for i, name in enumerate(outputs):
         for text in _warnings(result, i, name):
             warnings.warn(text, stacklevel=2)
@@ -148,22 +123,51 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
 
 def _signals(trials):
     """v, y and reference of all trials, (trial, time, output), and the names of the outputs."""
-    tasks = trials if isinstance(trials, list | tuple) and trials else [trials]
-    signals, periods, outputs, shape = {"v": [], "y": [], "reference": []}, {}, None, None
-    for i, task in enumerate(tasks):
+    signals, tasks, periods = ("v", "y", "reference"), [], {}
+    for task in trials if isinstance(trials, list | tuple) and trials else [trials]:
         task = arguments.instance("trials", task, xr.Dataset)
         task = task if "trial" in task.dims else task.expand_dims("trial")
         if not all(name in task and {*task[name].dims} == {*AXES} for name in signals):
             raise ValueError(f"trials lack one of {[*signals]}, or its axes: see run_trials")
-        periods[f"trials[{i}]"] = Signals(period_of(task))
-        outputs = outputs or arguments.names_of(task.y) or task.channel.values.tolist()
-        shape = shape or ("trial", task.sizes["time"], task.sizes["channel"])
-        for name, arrays in signals.items():
-            array = task[name].transpose(*AXES)
-            arrays.append(arguments.in_columns(f"trials.{name}", array, shape, outputs))
+        periods[f"trials[{len(tasks)}]"] = Signals(period_of(task))
+        tasks.append(task)
     check_match(**periods)
-    v, y, references = (np.concatenate(arrays) for arrays in signals.values())
-    return v, y, references, outputs
+    outputs = arguments.names_of(tasks[0].y) or tasks[0].channel.values.tolist()
+    shape = "trial", tasks[0].sizes["time"], tasks[0].sizes["channel"]
+
+    def of_all(name):
+        arrays = (task[name].transpose(*AXES) for task in tasks)
+        return [arguments.in_columns(f"trials.{name}", x, shape, outputs) for x in arrays]
+
+    return *(np.concatenate(of_all(name)) for name in signals), outputs
+
+
+def _fitted(v, y, references, reference):
+    """F and c of trials, (trial, time, m), and what they make of another reference, (time, m)."""
+    K, samples, m = y.shape
+    size = np.sqrt(np.mean(y**2, axis=(0, 1)))
+    size[size == 0] = 1.0
+    basis = _basis(max(1, samples // 2))
+    Phi = np.array([_taps(output / size, basis) for output in y])
+    columns = np.concatenate([Phi, references + v - y], axis=2)  # Phi_k, t_k = v_k + e_k
+    mean = columns.mean(axis=0)
+    fits = _Fits(np.array([sum(map(_products, columns - mean)), K * _products(mean)]), K, m)
+    f, without = fits.likeliest(RATIOS if K > 1 else RATIOS[:1])
+    rho, predicted = fits.variances(without)
+    by_differences, _ = fits.likeliest([0.0])  # between trials, alone
+
+    new = _taps(reference / size, basis)
+    past = np.pad(mean, [(0, len(reference)), (0, 0)])[: len(reference)]
+
+    def first_signal(f, rho):
+        return new @ f + (1 - rho) * (past[:, -m:] - past[:, :-m] @ f)  # F r + c, (3)
+
+    v = first_signal(f, rho)
+    jackknife = (1 - 1 / BLOCKS) * np.sum((first_signal(without, rho) - v) ** 2, axis=0)
+    distance = first_signal(by_differences, 0.0) - v
+    uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
+    F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
+    return Transfer(v, new @ f, v - new @ f, F, predicted, uncertainty)
 
 
 def _basis(reach):
@@ -171,7 +175,7 @@ def _basis(reach):
     knots = [0, 1]
     while knots[-1] < reach:
         knots.append(min(reach, max(knots[-1] + 1, round(GROWTH * knots[-1]))))
-    knots = np.array([-k for k in knots[:0:-1]] + knots)
+    knots = np.append(-np.array(knots)[:0:-1], knots)
     lags, middle = np.arange(-reach, reach + 1), len(knots) // 2
     hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
     hats /= hats.sum(axis=0)
@@ -197,64 +201,50 @@ def _products(columns):
 class _Fits:
     """The sums of (4) over blocks of time: products of p regressors and m targets."""
 
-    within: np.ndarray  # of deviations from the mean over the trials
-    between: np.ndarray  # K times those of the mean
+    products: np.ndarray  # of deviations from the mean over the trials, and K times of that mean
     K: int
     m: int
 
     def likeliest(self, ratios):
-        """f by the likeliest weights rho, lambda and D of each output, and f without each block.
-
-        Shapes (p, m) and (blocks, p, m).
-        """
-        m, p = self.m, self.within.shape[1] - self.m
-        D = np.ones((m, p // m))
-        candidates, likelihoods = [], []
-        for rho, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
-            D[:, D.shape[1] // 2] = static
-            size = np.mean(self.power(rho)[:p]) or 1.0
-            candidates.append((rho, weight * size * D.ravel()))
-            prior = self.K * np.log(PENALTY) if static == 1 else 0.0
-            likelihoods.append(self.likelihood(*candidates[-1]) - prior)
-        best = np.argmax(likelihoods, axis=0)
+        """f by the likeliest weights of each output, shape (p, m), and f without each block."""
+        candidates = [*product(ratios, (1.0, STATIC), WEIGHTS)]
+        best = np.argmax([self.likelihood(*weights) for weights in candidates], axis=0)
         fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
         f, *without = np.stack(fits, axis=-1)
         return f, np.array(without)
 
-    def power(self, rho=1.0):
-        """Sums of squares of the columns (Phi, t), as (4) weights them."""
-        return np.diagonal(np.sum(self.within + rho * self.between, axis=0))
+    def solve(self, rho, static, weight):
+        """f of (4), of all blocks, and without each, shape (1 + blocks, p, m)."""
+        blocks = np.tensordot([1, rho], self.products, 1)
+        total = blocks.sum(axis=0)
+        sums, p = np.concatenate([total[None], total - blocks]), len(total) - self.m
+        D = np.ones((self.m, p // self.m))
+        D[:, D.shape[1] // 2] = static
+        penalty = weight * (np.mean(np.diagonal(total)[:p]) or 1.0) * np.diag(D.ravel())
+        return np.linalg.solve(sums[:, :p, :p] + penalty, sums[:, :p, p:])
+
+    def squares(self, f):
+        """Sums of squares of t - Phi f, within and between trials, each block by its own f."""
+        one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
+        R = np.concatenate([-f, one], axis=1)  # from (Phi, t) to t - Phi f
+        return np.sum(R * (self.products @ R), axis=(1, 2))
+
+    def likelihood(self, rho, static, weight):
+        """Logarithm of the likelihood of each output in blocks that were left out of the fit."""
+        without = self.solve(rho, static, weight)[1:]
+        power = self.squares(0 * without).sum(axis=0)
+        floor = ROUNDING * np.where(power > 0, power, 1.0)
+        prior = self.K * np.log(PENALTY) if static == 1 else 0.0
+        return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
     def variances(self, without):
         """rho, by what fits without a block leave in it; and the share that they predict, (m,)."""
-        within, between = self.residuals(without)
+        missed, power = self.squares(without), self.squares(0 * without)
         rho = np.ones(self.m)
         if self.K > 1:
-            rho = np.minimum(1.0, within / (self.K - 1) / np.maximum(between, np.finfo(float).tiny))
-        power = np.array([self.power(ratio)[i - self.m] for i, ratio in enumerate(rho)])
-        missed = np.divide(within + rho * between, power, out=np.zeros(self.m), where=power > 0)
-        return rho, 1 - missed
-
-    def solve(self, rho, penalty):
-        """f of (4), of all blocks, and without each, shape (1 + blocks, p, m)."""
-        p, products = len(penalty), self.within + rho * self.between
-        total = products.sum(axis=0)
-        sums = np.concatenate([total[None], total - products])
-        return np.linalg.solve(sums[:, :p, :p] + np.diag(penalty), sums[:, :p, p:])
-
-    def residuals(self, without):
-        """Sums of squares in all blocks that fits without them leave, within and between trials."""
-        one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
-        R = np.concatenate([-without, one], axis=1)  # from (Phi, t) to t - Phi f
-        return [np.sum(R * (products @ R), axis=(0, 1)) for products in (self.within, self.between)]
-
-    def likelihood(self, rho, penalty):
-        """Logarithm of the likelihood of the residuals of each output, within and between."""
-        power = self.power()[-self.m :]
-        floor = ROUNDING * np.where(power > 0, power, 1.0)
-        residuals = self.residuals(self.solve(rho, penalty)[1:])
-        within, between = (residual + floor for residual in residuals)
-        return -(self.K - 1) * np.log(within) - np.log(between)
+            rho = np.minimum(1.0, missed[0] / (self.K - 1) / np.maximum(missed[1], TINY))
+        missed, power = (squares[0] + rho * squares[1] for squares in (missed, power))
+        return rho, 1 - np.divide(missed, power, out=np.zeros(self.m), where=power > 0)
 
 
 def _warnings(result, i, name):
