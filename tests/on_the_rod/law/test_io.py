@@ -100,7 +100,7 @@ def test_only_a_law_is_replaced_by_a_law(tmp_path, Q):
     path = tmp_path / "thesis.txt"
     for content in (b"Chapter 1", b"\xff\xfe\x00", b"{}"):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"thesis.txt' is a file that is no law"):
+        with pytest.raises(ValueError, match=r"thesis.txt' is a file of another kind"):
             save_law(path, Law(Q, L))
         with pytest.raises(ValueError, match=r"thesis.txt' is not a law of save_law"):
             load_law(path)

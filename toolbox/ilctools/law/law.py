@@ -98,7 +98,7 @@ class Law:
                 f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which runs in both "
                 "directions: zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
             )
-        for name, kind in {"L": LearningOperator, "loop": Loop, "region": Region}.items():
+        for name, kind in {"L": LearningOperator, "loop": Loop}.items():
             if getattr(self, name) is not None:
                 arguments.instance(name, getattr(self, name), kind)
         check_match(Q=self.Q, L=self.L, law=self.labels, loop=self.loop)
@@ -155,7 +155,7 @@ class Law:
         rest = arguments.whole("rest", self.rest, 0, samples - 1)
         shape = samples, self.channels
         v = np.zeros(shape) if v is None else v
-        v = arguments.in_columns("v", v, shape, self._names(v=v))
+        v = arguments.in_columns("v", v, shape, self._names(v))
         v[samples - rest :] = 0
         if self.L is not None:
             self.L.apply(np.zeros(shape))  # which one for other trials refuses, before any is run
@@ -200,31 +200,29 @@ class Law:
         if self.L is None:
             arguments.array("v", v, (...,))
             return copy(v)
-        labelled, names = v, self._names(v=v, e=e)
+        labelled, names = v, self._names(v, e)
         v = arguments.in_columns("v", v, (..., "time", self.channels), names)
         e = arguments.in_columns("e", e, v.shape, names)
-        arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
+        rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
         v, applied = self.applied(v, u, applied)
-        result = self._without_limits(v, e)
+        following = (1 - a) * v + a * self.Q.apply(v + self.L.apply(e))  # (23)
+        following[..., v.shape[-2] - rest :, :] = 0
         if self.actuators is not None:
             weight = getattr(self.L, "weight", WEIGHT)
-            result = projected(self.loop, self.actuators, v, applied, result, weight, self.rest)
-        return arguments.labelled_as(labelled, result, names)
+            following = projected(self.loop, self.actuators, v, applied, following, weight, rest)
+        return arguments.labelled_as(labelled, following, names)
 
-    def _names(self, **signals):
+    def _names(self, *signals):
         """Names of the channels; of a law without a loop, labels cannot be matched with L."""
         if self.outputs or self.channels is None:
             return self.outputs
-        for name, signal in signals.items():
-            labels = arguments.names_of(signal)
-            if labels and self.channels == 1:
-                return labels
-            if labels:
-                raise ValueError(
-                    f"{name} holds the signals {reprlib.repr(labels)}, of which a law without a "
-                    "loop does not know the order: bind it, law.bound_to(loop), or pass an array"
-                )
-        return [""] * self.channels
+        labels = next(filter(None, map(arguments.names_of, signals)), [""] * self.channels)
+        if any(labels) and self.channels > 1:
+            raise ValueError(
+                f"v or e holds the signals {reprlib.repr(labels)}, of which a law without a loop "
+                "does not know the order: bind it, law.bound_to(loop), or pass an array"
+            )
+        return labels
 
     def applied(self, v, u, applied=None) -> tuple[np.ndarray, np.ndarray | None]:
         """v as far as it was applied, and the commands that were, from u, those asked for."""
@@ -239,9 +237,3 @@ class Law:
         else:
             applied = arguments.in_columns("applied", applied, v.shape, commands)
         return self.loop.realised(v, u, applied), applied
-
-    def _without_limits(self, v, e):
-        a = self.gain
-        v = (1 - a) * v + a * self.Q.apply(v + self.L.apply(e))  # (23)
-        v[..., v.shape[-2] - self.rest :, :] = 0
-        return v

@@ -7,7 +7,6 @@ sample; PIQP solves it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -65,11 +64,6 @@ class Actuators:
         low, high, slew = np.transpose(rows)
         return cls(low, high, slew * loop.Ts)
 
-    @cached_property
-    def slow(self) -> bool:
-        """Whether one of them cannot be anywhere in the next sample."""
-        return not np.all(np.isinf(self.step))
-
     @property
     def width(self) -> np.ndarray:
         """From the lowest to the highest command, what rounding is relative to; one if infinite."""
@@ -83,14 +77,14 @@ class Actuators:
     def next(self, command, before=None) -> np.ndarray:
         """What is applied of one command, after what was applied before it."""
         low, high = self.lowest, self.highest
-        if before is not None and self.slow:
+        if before is not None:
             low = np.maximum(low, before - self.step)
             high = np.minimum(high, before + self.step)
         return np.minimum(np.maximum(command, low), high)
 
     def follow(self, commands, before=None) -> np.ndarray:
         """What is applied of commands in succession, shape (..., time, m)."""
-        if not self.slow:
+        if np.all(np.isinf(self.step)):
             return self.next(commands)
         applied = np.empty_like(commands)
         for p in range(commands.shape[-2]):

@@ -9,13 +9,12 @@ from dataclasses import fields, replace
 from functools import partial
 
 import control
-import numpy as np
 import xarray as xr
 
 from ilctools import arguments
 from ilctools.base import RegularisedInverse
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
-from ilctools.files import read_json, regular, write_whole
+from ilctools.files import keep_others, read_json, regular, write_whole
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
@@ -85,13 +84,13 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 def law_notes(law: Law) -> dict:
     """A law by the keys of its file; without L where that has no coefficients."""
     Q, L = law.Q, law.L
-    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
-    if L is None:
-        notes["L"] = None
-    elif isinstance(L, LearningFilter):
+    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}, "L": None}
+    if isinstance(L, LearningFilter):
         notes["L"] = {"coefficients": L.coefficients, "ends": L.ends}
         if L.first != 1 or L.base is not None:
             notes["L"] |= {"first": L.first, "base": L.base and _base_notes(L.base)}
+    elif L is not None:
+        del notes["L"]
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
     return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
 
@@ -214,17 +213,11 @@ def save_law(path, law: Law, note: str = "") -> None:
     path = arguments.path("path", path)
     arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
     arguments.instance("note", note, str)
-    if path.is_file():  # raw data, say
-        try:
-            load_law(path)
-        except ValueError:
-            raise ValueError(
-                f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
-            ) from None
     notes = law_notes(law)
     content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}
-    content["sections"] = law.Q.sections
-    write_whole(path, text_of(content, indent=1) + "\n")
+    text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
+    keep_others(path, text[: text.index("law")])  # raw data, say
+    write_whole(path, text)
 
 
 def load_law(path) -> Law:
@@ -261,11 +254,9 @@ def load_law(path) -> Law:
 
 
 def _check_file(content, Q):
-    """Refuse a file with keys that would be without effect, or sections that are not those of Q."""
-    if unknown := content.keys() - OF_FILES:
-        raise ValueError(f"{sorted(unknown)} are not among the keys {sorted(OF_FILES)}")
-    if content["format"] != FORMATS["first" in content["L"]]:
-        raise ValueError(f"format {content['format']!r} is none of {FORMATS}")
+    """Refuse a file with keys that would be without effect, or that is another in docs/law.c."""
+    if content.keys() - OF_FILES or content["format"] != FORMATS["first" in content["L"]]:
+        raise ValueError(f"format must be one of {FORMATS}, the keys {sorted(OF_FILES)}")
     sections = arguments.array("sections", content["sections"], Q.sections.shape)
     if not np.allclose(sections, Q.sections, ROUNDING, [0, 0, 0, 0, ROUNDING, ROUNDING]):
         raise ValueError("sections are not those of Q, which save_law writes anew")

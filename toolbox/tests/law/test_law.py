@@ -100,7 +100,7 @@ REFUSED = {  # what the error names, and a call
     "e holds the signals": lambda: LIMITED.bound_to(paper_loop()).next(
         ZERO, pd.DataFrame(ZERO, columns=["a", "c"])
     ),
-    r"v holds the signals \['b', 'a'\], .*bound_to": lambda: Law(Q, TWO).next(
+    r"v or e holds the signals \['b', 'a'\], .*bound_to": lambda: Law(Q, TWO).next(
         pd.DataFrame(ZERO, columns=["b", "a"]), ZERO
     ),
     "loop.Ts = 2.0": lambda: LIMITED.bound_to(ClosedLoop(None, 2.0, ["y1", "y2"])),
