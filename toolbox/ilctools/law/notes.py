@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 from functools import partial
 
 import control
+import numpy as np
 import xarray as xr
 
 from ilctools import arguments
