@@ -87,7 +87,15 @@ def test_a_file_that_is_not_a_law_is_refused(tmp_path, Q):
     path = tmp_path / "law.json"
     with pytest.raises(ValueError, match="L = None"):
         save_law(path, Law(Q, None))
-    for other in (b"", b"[]", b'{"Ts": 1, "Ts": 2}', b"[" * 9999, b"\xff\xfe\x00" * 9999):
+    for other in (
+        b"",
+        b"[]",
+        b"{}",
+        b"Chapter 1",
+        b'{"Ts": 1, "Ts": 2}',
+        b"[" * 9999,
+        b"\xff\xfe\x00" * 9999,
+    ):
         path.write_bytes(other)
         with pytest.raises(ValueError, match=r"law.json' is not a law of save_law") as error:
             load_law(path)
@@ -102,8 +110,6 @@ def test_only_a_law_is_replaced_by_a_law(tmp_path, Q):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=r"thesis.txt' is a file of another kind"):
             save_law(path, Law(Q, L))
-        with pytest.raises(ValueError, match=r"thesis.txt' is not a law of save_law"):
-            load_law(path)
         assert path.read_bytes() == content
     path.unlink()
     for gain in (1.0, 0.5):

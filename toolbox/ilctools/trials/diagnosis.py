@@ -74,7 +74,7 @@ def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     found, tests = {}, {"growth": error_grows}
     groups = by_unit(trials.output_unit.values.tolist()).values()
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
-        if not exact and (P := known_P(law)) is not None:
+        if not exact and (P := known_P(law)):
             trials = trials.assign(effect=(AXES, predicted_effect(trials, law, P)))
             tests["model"] = partial(plant_differs, law, largest_M(law, P))
         for channels, (k, since) in product(groups, enumerate(successions(trials))):

@@ -212,12 +212,9 @@ def _warnings(result, law, exact, from_rest):
     yield from diagnose(result, law, exact=exact).values()
     if law.actuators is not None:
         u = commands(result, law.loop)["u"]
-        beyond = commands_beyond(u, law.loop.commands, law.limits)
-        if beyond:
+        if beyond := commands_beyond(u, law.loop.commands, law.limits):
             yield beyond + CUT_OFF
     if law.L is not None and from_rest:
         r = result.reference.values
         rest = Start.of(0 * r[0], r[0], law.loop)
-        away = next(filter(None, map(rest.away, r[1:])), "")
-        if away:
-            yield away
+        yield from [*filter(None, map(rest.away, r[1:]))][:1]
