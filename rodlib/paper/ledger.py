@@ -21,8 +21,7 @@ further. Where rounding moves it by one unit of the last digit shown, the row st
 """
 
 import re
-import sys
-from collections.abc import Iterable
+import shutil
 from itertools import count
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
@@ -30,7 +29,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ilctools.files import folder, read_json, replace_all, write_whole
+from ilctools.files import folder, read_json, write_whole
 from rodlib.paper import published
 from rodlib.paper.comparison import different_figures, same_text
 from rodlib.paper.published import Claim
@@ -44,27 +43,20 @@ DEVIATIONS = Path(__file__).with_name("deviations.md")
 WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
 KINDS = {
     "printed": "printed numbers",
-    "derived": "numbers derived from printed ones",
+    "derived": "invariants of the feedback gains, for 40 printed entries",
     "coefficient": "coefficients of (39), a flat optimum",
     "statement": "statements about model and design",
-    "assumed": "statements on assumed signals or a virtual rig",
+    "assumed": "statements on signals or rigs of ours",
     "misprint": "misprints",
+    "taken over": "taken over; could hardly differ",
+    "identity": "imposed or algebra; could hardly differ",
 }
-HEADLINE = """\
-- **Numbers**: {printed} that could have differed come out as printed, and {derived}
-  invariants of the feedback gains, which stand for 40 printed entries.
-- **Learning filters**: {coefficient} coefficients agree to the last digit; the optimum is flat,
-  and the printed ones reach it to a few millionths.
-- **Statements**: {statement}
-  that model and design decide hold; of those that only signals or rigs of ours can test,
-  {assumed}; {vague} are too vague, or hang on choices of ours; {unchecked} cannot be checked.
-"""
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 NEGLIGIBLE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
+TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "kind", "place", "cell"]
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
-SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
     "key", "place", "claim", "printed", "computed", "tolerance", "deviation", "verdict", "kind",
@@ -72,24 +64,55 @@ COLUMNS = [
 ]  # fmt: skip
 
 
-def expected(claim: Claim) -> tuple[float, float]:
-    """The number that is expected, printed or a criterion "0.58 +- 0.01", and its tolerance."""
-    number, _, tolerance = claim.criterion.partition(" +- ")
-    if number:
-        return float(number), float(tolerance)
-    return published.value(claim.printed), published.half_unit(claim.printed)
+def rule(claim: Claim) -> tuple[str, float, float]:
+    """How a number is judged: ("<", 0.1, 0), or by a tolerance as in ("", 0.58, 0.01)."""
+    if not claim.criterion:
+        return "", published.value(claim.printed), published.half_unit(claim.printed)
+    if " +- " in claim.criterion:
+        return "", *map(float, claim.criterion.split(" +- "))
+    relation, bound = claim.criterion.split()
+    return relation, float(bound), 0.0
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     """A verdict, and the deviation from the printed number, or from a criterion missed."""
-    relation, _, bound = claim.criterion.partition(" ")
-    if relation in COMPARE:
-        deviation = computed - float(bound)
-        return (REPRODUCED, 0.0) if COMPARE[relation](deviation, 0) else (DIFFERS, deviation)
-    number, tolerance = expected(claim)
+    relation, number, tolerance = rule(claim)
     deviation = computed - number
+    if relation:
+        return (REPRODUCED, 0.0) if COMPARE[relation](deviation, 0) else (DIFFERS, deviation)
     agrees = abs(deviation) <= tolerance * (1 + 1e-9)
     return REPRODUCED if agrees else DIFFERS, deviation
+
+
+def judged(claim: Claim, computed: float) -> dict[str, str]:
+    """What a row says of a computed number."""
+    if claim.criterion == UNCHECKED:
+        return {"verdict": UNCHECKED}
+    if claim.criterion.startswith(WORDS):
+        sentence = claim.criterion.removeprefix(WORDS).format(f"{float(computed):.3g}")
+        return {"computed": sentence, "verdict": IN_WORDS}
+    value = float(computed)
+    text = shown(claim, value)
+    outcome, deviation = verdict(claim, value if text == NEGLIGIBLE else float(text))
+    *_, tolerance = rule(claim)
+    return {
+        "computed": text,
+        "tolerance": f"± {tolerance:.2g}" if tolerance else claim.criterion,
+        "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
+        "verdict": outcome,
+    }
+
+
+def shown(claim: Claim, value: float) -> str:
+    """A computed number with as many digits as are printed, or as its verdict needs."""
+    if 0 < abs(value) <= NOISE:
+        return NEGLIGIBLE
+    digits, notation = published.decimals(claim.printed), "f"
+    if digits is None:
+        digits, notation = SIGNIFICANT, "g"
+    texts = (f"{value:z.{places}{notation}}" for places in count(digits))
+    outcome, _ = verdict(claim, value)
+    return next(text for text in texts if verdict(claim, float(text))[0] == outcome)
 
 
 class Ledger:
@@ -119,89 +142,39 @@ class Ledger:
                     self.record(name, computed[entry])
             return
         claim = published.claims()[key]
-        row = vars(claim) | _judged(claim, computed)
+        unit = f" ({claim.unit})" if claim.unit else ""
+        row = (
+            dict.fromkeys(COLUMNS, "")
+            | vars(claim)
+            | {"claim": claim.claim + unit}
+            | judged(claim, computed)
+        )
         if not self.papers_parameters and row["verdict"] != UNCHECKED:
             row["verdict"] = OTHER
-        self.rows[key] = row | {"notebook": self.notebook, "cell": _running()}
+        self.rows[key] = row
 
-    def table(self, keys: Iterable[str] = ("",)) -> pd.DataFrame:
-        """The rows recorded so far whose keys begin so, by default all: those that differ first."""
-        keys = tuple(keys)
-        chosen = [key for key in published.claims() if key in self.rows and key.startswith(keys)]
-        chosen.sort(key=lambda key: self.rows[key]["verdict"] != DIFFERS)
-        rows = pd.DataFrame([self.rows[key] for key in chosen], columns=COLUMNS)
-        return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
+    def table(self) -> pd.DataFrame:
+        """The rows recorded so far, in the order of the paper: those that differ first."""
+        return differing_first(self.frame()).set_index("place")[TABLE]
 
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
-        rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
-        ids = [cell["id"] for cell in _code(self.notebook)]
-        rows["cell"] = rows.cell.map(dict(enumerate(ids, start=1)))
+        notebook = read_json((ROOT / "notebooks" / f"{self.notebook}.ipynb").read_text("utf-8"))
+        *_, cell = (cell["id"] for cell in notebook["cells"] if cell["cell_type"] == "code")
+        rows = self.frame().assign(notebook=self.notebook, cell=cell)  # the last records them
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
-
-def _running():
-    """The number of the code cell that runs; 0 outside a notebook."""
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    return len(shell.user_ns["In"]) - 1 if shell else 0
-
-
-def _code(notebook):
-    """The code cells of a tracked notebook, by its name."""
-    path = ROOT / "notebooks" / f"{notebook}.ipynb"
-    cells = read_json(path.read_text("utf-8"))["cells"]
-    return [cell for cell in cells if cell["cell_type"] == "code"]
+    def frame(self) -> pd.DataFrame:
+        """The rows recorded so far, in the order of the paper."""
+        rows = [self.rows[key] for key in published.claims() if key in self.rows]
+        return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _link(notebook, cell):
-    """Where JupyterLab, and a page, show a cell; the notebook, elsewhere."""
-    return f"[{notebook}](../notebooks/{notebook}.ipynb#cell-id={cell})"
-
-
-def _figures():
-    """A line of Markdown for each figure, with the cell that saves it."""
-    lines = []
-    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        for cell in _code(path.stem):
-            for name in re.findall(SAVED, "".join(cell["source"])):
-                lines.append(f"- [{name}]({name}.png): {_link(path.stem, cell['id'])}")
-    return "\n".join(sorted(lines))
-
-
-def _judged(claim, computed):
-    """What a row says of a computed number."""
-    row = {"claim": claim.claim + (f" ({claim.unit})" if claim.unit else "")}
-    row |= dict.fromkeys(["computed", "tolerance", "deviation"], "")
-    if claim.criterion == UNCHECKED:
-        return row | {"verdict": UNCHECKED}
-    value = float(computed)
-    if claim.criterion.startswith(WORDS):
-        sentence = claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
-        return row | {"verdict": IN_WORDS, "computed": sentence}
-    shown = _shown(claim, value)
-    outcome, deviation = verdict(claim, value if shown == NEGLIGIBLE else float(shown))
-    compares = claim.criterion.partition(" ")[0] in COMPARE
-    return row | {
-        "computed": shown,
-        "tolerance": claim.criterion if compares else f"± {expected(claim)[1]:.2g}",
-        "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
-        "verdict": outcome,
-    }
-
-
-def _shown(claim, value):
-    """A computed number with as many digits as are printed, or as its verdict needs."""
-    if 0 < abs(value) <= NOISE:
-        return NEGLIGIBLE
-    digits, notation = published.decimals(claim.printed), "f"
-    if digits is None:
-        digits, notation = SIGNIFICANT, "g"
-    outcome, _ = verdict(claim, value)
-    for places in count(digits):
-        shown = f"{value:z.{places}{notation}}"
-        if verdict(claim, float(shown))[0] == outcome:
-            return shown
+def differing_first(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows in their order, but those that differ before all others."""
+    differs = rows.verdict == DIFFERS
+    return pd.concat([rows[differs], rows[~differs]])
 
 
 def join(parts: Path) -> pd.DataFrame:
@@ -213,68 +186,25 @@ def join(parts: Path) -> pd.DataFrame:
     return rows.loc[list(published.claims())].reset_index()[COLUMNS]
 
 
-def read(path: Path) -> pd.DataFrame:
+def read(path):
     """The rows of a CSV file as text, by key."""
     return pd.read_csv(path, index_col="key", dtype=str, keep_default_na=False)
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """What the README says of the results: of each kind how many agree, and which do not."""
-    kind, texts = _kinds(rows), {}
-    for name in KINDS:
-        verdicts = rows[kind == name].set_index("key").verdict
-        differ = verdicts.index[verdicts == DIFFERS]
-        agree = (verdicts == REPRODUCED).sum()
-        texts[name] = f"{agree} of {agree + len(differ)}"
-        if len(differ) and name != "coefficient":
-            texts[name] += f" (not {', '.join(f'`{key}`' for key in differ)})"
-    vague = (rows.verdict[kind != "misprint"] == IN_WORDS).sum()
-    return HEADLINE.format(**texts, vague=vague, unchecked=(rows.verdict == UNCHECKED).sum())
-
-
-def _kinds(rows):
-    """The kind of each row, coefficients apart."""
-    return rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
-
-
-def _counts(rows):
-    """How many claims of each kind got which verdict, as Markdown."""
-    kind = _kinds(rows)
+    """How many claims of each kind got which verdict, as Markdown; coefficients count apart."""
+    kind = rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient").map(KINDS)
     counts = pd.crosstab(kind, rows.verdict)
-    counts = counts.reindex(index=list(KINDS), columns=VERDICTS, fill_value=0)
-    others = rows[~kind.isin(KINDS)]
-    kinds = ", ".join(f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items())
-    agree = (others.verdict == REPRODUCED).sum()
-    return (
-        f"{counts.rename(index=KINDS).rename_axis(None).rename_axis(None, axis=1).to_markdown()}"
-        f"\n\nNot counted, because they could hardly differ: {kinds}; {agree} of {len(others)} "
-        "agree.\n"
-    )
-
-
-def _reasons(rows):
-    """A line of Markdown for each row, or for all entries of a matrix."""
-    group = rows.key.str.extract(rf"^({'|'.join(published.MATRICES)})\[", expand=False)
-    lines = []
-    for name, part in rows.groupby(group.fillna(rows.key), sort=False):
-        first = part.iloc[0]
-        if name in published.MATRICES:
-            largest = part.deviation.astype(float).abs().max()
-            total = sum(key.startswith(f"{name}[") for key in published.claims())
-            what = first.claim.partition("[")[0]
-            text = f"{what}: {len(part)} of {total} by at most {largest:.1e}"
-        else:
-            text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
-            text += f", judged by {first.tolerance}"
-        lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
-    return "\n".join(lines or ["- nothing"]) + "\n"
+    counts = counts.reindex(index=KINDS.values(), columns=VERDICTS, fill_value=0)
+    return counts.rename_axis("", axis=0).to_markdown() + "\n"
 
 
 def markdown(rows: pd.DataFrame) -> str:
     """The whole ledger as a readable page, with what we do otherwise than the paper."""
-    cells = [*map(_link, rows.notebook, rows.cell)]
-    claims = rows.claim + rows.note.map(lambda note: note and f"<br>*{note}*")
-    table = rows.assign(claim=claims, cell=cells)[PAGE].replace({r"\|": r"\|"}, regex=True)
+    notes = rows.note.map(lambda note: note and f"<br>*{note}*")
+    cells = "[" + rows.notebook + "](../notebooks/" + rows.notebook + ".ipynb#cell-id=" + rows.cell
+    table = differing_first(rows.assign(claim=rows.claim + notes, cell=cells + ")"))[PAGE]
+    table = table.replace({r"\|": r"\|"}, regex=True)
     return f"""# Printed against computed
 
 Written by `make reproduce`. *Reproduced*: a number within its tolerance, half a unit of the last
@@ -286,74 +216,61 @@ products of printed gains that do not depend on the coordinates of the state, te
 What is *taken over* from the paper, or an *identity* (imposed, algebra, or another row once more),
 could hardly differ.
 
-{_counts(rows)}
-What differs:
-
-{_reasons(rows[rows.verdict == DIFFERS])}
+{summary(rows)}
 ## Deviations from the paper
 
 {DEVIATIONS.read_text(encoding="utf-8")}
-## All rows
+## All rows, those that differ first
 
 {table.to_markdown(index=False, disable_numparse=True)}
-
-## The figures
-
-{_figures()}
 """
 
 
 def splice(text: str, name: str, content: str) -> str:
     """Replace what stands between the two markers `name` of a Markdown text."""
-    start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    before, marker, _ = text.partition(start)
-    _, end_marker, after = text.partition(end)
-    if not (marker and end_marker):
-        raise ValueError(f"the text has no markers {start.strip()} and {end}")
-    return before + start + content + end + after
+    markers = rf"(<!-- {name} -->\n).*(<!-- end of {name} -->)"
+    spliced, places = re.subn(
+        markers, lambda found: found[1] + content + found[2], text, flags=re.S
+    )
+    if not places:
+        raise ValueError(f"the text has no markers <!-- {name} --> and <!-- end of {name} -->")
+    return spliced
 
 
 def publish(build: Path, root: Path) -> None:
-    """Put what a complete run has changed into figures/ and the README, and print what that is."""
-    rows = join(build / "ledger")
-    new = changes(rows, build, root)
-    replace_all(new)
-    print(f"ledger: {rows.verdict.value_counts().to_dict()}")
-    print(report(new, root))
+    """Put what a complete run has changed into figures/ and the README; git mends half of it."""
+    for name in changed(build, root):
+        if (build / name).exists():
+            shutil.copyfile(build / name, root / name)
+        else:
+            (root / name).unlink(missing_ok=True)
 
 
-def changes(rows: pd.DataFrame, build: Path, root: Path) -> dict[Path, bytes | None]:
-    """What a reader sees changed by a run: new contents of files, None of a figure that is gone."""
-    readme, tracked = root / "README.md", root / "figures"
-    rows = settled(rows, tracked / "ledger.csv")
+def changed(build: Path, root: Path) -> list[str]:
+    """Print and return which files a reader sees changed by a run, gone ones among them.
+
+    The texts are written to `build`, under the names that they have in the repository.
+    """
+    rows = settled(join(build / "ledger"), read(root / "figures" / "ledger.csv"))
+    readme = (root / "README.md").read_text(encoding="utf-8")
     texts = {
-        tracked / "ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
-        tracked / "ledger.md": markdown(rows),
-        # The last: after a kill it is the old one, and the next run, or git, mends the rest.
-        readme: splice(readme.read_text(encoding="utf-8"), "ledger", summary(rows)),
+        "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
+        "figures/ledger.md": markdown(rows),
+        "README.md": splice(readme, "ledger", summary(rows)),
     }
-    names = different_figures(build / "figures", tracked)
-    files = [f"{name}.{suffix}" for name in names for suffix in ("png", "pdf")]
-    new = {tracked / name: _content(build / "figures" / name) for name in files}
-    new |= {path: text.encode() for path, text in texts.items()}
-    return {path: content for path, content in new.items() if content != _content(path)}
+    figures = different_figures(build / "figures", root / "figures")
+    names = [f"figures/{figure}.{kind}" for figure in figures for kind in ("png", "pdf")]
+    for name, text in texts.items():
+        write_whole(build / name, text)
+        if text.encode() != (root / name).read_bytes():
+            names.append(name)
+    print(f"different: {', '.join(names)}" if names else "all is the same as before")
+    return names
 
 
-def _content(path):
-    return path.read_bytes() if path.exists() else None
-
-
-def report(new: dict[Path, bytes | None], root: Path) -> str:
-    """Which figures and texts are not what they were."""
-    names = [path.relative_to(root).as_posix() for path in new if path.suffix != ".pdf"]
-    return f"different: {', '.join(names)}" if names else "all is the same as before"
-
-
-def settled(rows: pd.DataFrame, path: Path) -> pd.DataFrame:
+def settled(rows: pd.DataFrame, tracked: pd.DataFrame) -> pd.DataFrame:
     """The rows with computed numbers as they are tracked, where a reader sees no difference."""
-    if not path.exists():
-        return rows
-    tracked = read(path).reindex(rows.key, fill_value="new").set_axis(rows.index)
+    tracked = tracked.reindex(rows.key, fill_value="new").set_axis(rows.index)
     same = rows.computed.combine(tracked.computed, same_text) & (rows.verdict == tracked.verdict)
     numbers = ["computed", "deviation"]
     return rows.assign(**rows[numbers].mask(same, tracked[numbers]))

@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
@@ -132,22 +132,6 @@ def keep_others(path: Path, head: str) -> None:
             raise ValueError(
                 f"path = {str(path)!r} is a file of another kind: choose another name, or remove it"
             )
-
-
-def replace_all(new: dict[Path, bytes | None]) -> None:
-    """Replace several files, one by one and in order, once all are written; first remove None's.
-
-    An error while they are written leaves all as it was. What ends later, be it by a kill, leaves
-    some replaced, none of them half; in either case another call mends it.
-    """
-    with ExitStack() as parts:  # whose last one ends first
-        for path, content in reversed(new.items()):
-            folder(path.parent)
-            if content is not None:
-                _write(parts.enter_context(replacing(path)), [content])
-        for path in new:
-            if new[path] is None:
-                path.unlink(missing_ok=True)
 
 
 def _write(path, pieces, mode="wb"):
