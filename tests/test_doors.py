@@ -87,7 +87,6 @@ RIGHT = {
     "structure": "full", "e": xr.DataArray(SIGNAL, dims=("time", "channel")),
     "sensor_psd": 1.0, "sensor_variance": 1.0, "new": NOISE, "problem": DESIGN.problem,
     "solution": DESIGN.solution, "design": DESIGN, "rig": RIG, "excitation": EXCITATION,
-    "unmeasured": ["theta_a"],
 }  # fmt: skip
 
 # Each door; what else does not belong there; what does, if its name does not say it.
@@ -150,7 +149,7 @@ DOORS = [
     (ilctools.trial_norm, {"rest": [6]}),
     (ilctools.trial_noise,),
     (ilctools.converged_noise,),
-    (ilctools.replay, {"unmeasured": ["friction"]}, {"trials": RECORD}),
+    (ilctools.replay, {}, {"trials": RECORD}),
     (
         ilctools.read_table,
         {"time": ["none"], "inputs": [{"u": "none"}]},

@@ -1,10 +1,10 @@
-"""Reading text and logs: rows known by their line, trials with the clock that they need."""
+"""Reading logs: their metadata, their rows by pandas, trials with the clock that they need."""
 
-import csv
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from io import StringIO
+from itertools import chain, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,9 @@ from ilctools.logs.clock import check_trials
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
 from ilctools.signals import dataset
 from ilctools.units import seconds
+
+# of pandas, which then warns of rows that are longer than the titles, and shifts no column
+OPTIONS = {"skipinitialspace": True, "index_col": False}
 
 
 def load_log(path) -> xr.Dataset:
@@ -40,7 +43,8 @@ def load_log(path) -> xr.Dataset:
     Raises
     ------
     LogError
-        The first thing that is wrong, with its row or metadata.
+        The first thing that is wrong, with its metadata or its row: 0 is the first one below the
+        titles.
 
     Warns
     -----
@@ -75,7 +79,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
     with about(path):
         # a line that is whole has a line feed
         *lines, torn = regular(path).read_text(encoding="utf-8-sig").split("\n")
-        metadata, header, above = _head(lines)
+        metadata = _metadata(lines)
         if metadata.get("format") not in FORMATS:
             raise LogError(
                 f"metadata: format is {few(metadata.get('format'))}, but must be one of {FORMATS}: "
@@ -89,8 +93,12 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
         with reading("signals"):
             signals = read_json(metadata["signals"])
             check_signals(signals)
-        check_titles(header, signals)
-        table = _entries(lines, above, header).apply(numbers_in)
+        text = StringIO("\n".join(lines))
+        entries = pd.read_csv(text, comment="#", dtype=str, keep_default_na=False, **OPTIONS)
+        check_titles([*entries], signals)
+        if entries.empty:
+            raise LogError("there are no rows below the titles")
+        table = entries.apply(numbers_in)
         table["time"] *= second
         number = table["trial"]
         counts = number.value_counts(sort=False)
@@ -112,40 +120,21 @@ def about(path) -> Iterator[None]:
         yield
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, csv.Error) as error:
+    except ValueError as error:
         text = shortened(f"{path}: {error}")
         raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
 
-def _head(lines):
-    """The metadata, the titles, and how many lines stand above the rows."""
+def _metadata(lines):
+    """The metadata above the titles."""
     metadata = {}
-    for count, line in enumerate(lines, 1):
+    for line in takewhile(lambda line: line.startswith("#") or not line.strip(), lines):
         key, mark, value = map(str.strip, line[1:].partition(":"))
-        if line.startswith("#") and mark and key:
-            if key in metadata:
-                raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
-            if not (key + value).isprintable():
-                raise LogError(f"metadata: line {count} has characters that are not printable")
+        if key in metadata:
+            raise LogError(f"metadata: {key!r} stands twice")
+        if mark and key:
             metadata[key] = value
-        elif line.strip() and not line.startswith("#"):
-            return metadata, next(csv.reader([line], skipinitialspace=True)), count
-    raise LogError("there is no line with the titles of columns")
-
-
-def _entries(lines, above, header):
-    """The text of each entry below the titles, indexed by its line in the file."""
-    content = ("" if line.lstrip().startswith("#") else line.strip() for line in lines[above:])
-    reader, rows = csv.reader(content, skipinitialspace=True), {}
-    for row in filter(None, reader):
-        rows[above + reader.line_num] = row
-        if len(row) != len(header):
-            raise LogError(
-                f"row {above + reader.line_num} has {len(row)} entries, but must have {len(header)}"
-            )
-    if not rows:
-        raise LogError("there are no rows below the titles")
-    return pd.DataFrame.from_dict(rows, "index", dtype=object, columns=header)
+    return metadata
 
 
 def value_of(entry) -> float:

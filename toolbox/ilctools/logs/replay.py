@@ -5,7 +5,6 @@ out, with the reason.
 """
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +14,6 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.files import keep_others, write_whole
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.law.repetitive import next_samples, repeated
@@ -29,7 +27,6 @@ from ilctools.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
 EXPLAINED = 50.0  # %, of a fit below which another loop is the likelier one
-ROUNDING = 1e-9  # of reference and y, in their difference
 UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
 
 
@@ -43,7 +40,6 @@ class Replay:
     trials: xr.Dataset  # in the order of their numbers
     loop: Loop | None
     law: Law | None
-    unmeasured: tuple[str, ...] = ()  # disturbances that the simulation ignores
 
     @property
     def outputs(self) -> list[str]:
@@ -92,14 +88,12 @@ class Replay:
         """The same experiment on the model: the law, the references and the disturbances."""
         if self.law is None or self.model is None or not self.complete:
             return None
-        measured = ~np.isin(self.loop.disturbances, self.unmeasured)
-        has_inputs = not isinstance(self.loop, ClosedLoop)  # for disturbances
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
                 self.loop,
                 self.law,
                 self.trials.reference.values,
-                self.disturbance * measured if has_inputs else None,
+                None if isinstance(self.loop, ClosedLoop) else self.disturbance,
                 trials=len(self.numbers),
                 v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
                 reset=self.resets,
@@ -223,18 +217,15 @@ class Replay:
                 "law check, next trial and simulation: the log does not name its law; its metadata "
                 "need Q and L, and with limits the loop"
             )
-        if self.loop is None:
-            reasons.append(
-                "simulation and prediction: the log does not name its loop; its metadata need loop"
-            )
-            return reasons
         if self.model is None:
-            reasons.append("simulation and prediction: the loop has no P")
+            reasons.append(
+                "simulation and prediction: the log does not name its loop, or that has no P"
+            )
         elif self.predicted is None:
             reasons.append("prediction: the model without feedback is unstable, or there is no u")
         if not self.complete:
             reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
-        simulated = {*self.loop.disturbances} - {*self.unmeasured}
+        simulated = self.sources if self.loop is None else self.loop.disturbances
         if ignored := [name for name in self.sources if name not in simulated]:
             reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons
@@ -260,19 +251,14 @@ class Replay:
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
 
     def save_following(self, path) -> None:
-        """Write the next trial's v as a table, the time in s and a column for each output.
-
-        Only such a table is replaced.
-        """
+        """Write the next trial's v as a table, the time in s and a column for each output."""
         path = arguments.path("path", path)
         if self.law is None:
             raise ValueError("the log does not name its law: there is no next trial")
         units = self.trials.output_unit.values
         titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
         time = pd.Index(self.trials.time.values[: len(self.following)], name="time (s)")
-        text = pd.DataFrame(self.following, time, [*titles]).to_csv()
-        keep_others(path, text.partition("\n")[0])
-        write_whole(path, text)
+        pd.DataFrame(self.following, time, [*titles]).to_csv(path)
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
@@ -284,15 +270,14 @@ def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
     return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
 
 
-def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
+def replay(trials: xr.Dataset) -> Replay:
     """Replay a log with the law and the loop that its metadata name.
 
     Parameters
     ----------
     trials : xarray.Dataset
-        From :func:`ilctools.load_log` or :func:`ilctools.record`.
-    unmeasured : sequence of str, optional
-        Names of disturbances that the simulation ignores, as if they had not been measured.
+        From :func:`ilctools.load_log` or :func:`ilctools.record`. The error is taken as reference
+        less y.
 
     Returns
     -------
@@ -331,15 +316,13 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials, "reference", "v")  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
-    off = np.abs(trials.reference - trials.y - trials.e).max().item()
-    if off > ROUNDING * np.abs(trials[["reference", "y"]]).to_array().max().item():
-        raise ValueError(f"trials.e is not reference - y, but off by up to {off:.3g}: correct it")
-    unmeasured = tuple(arguments.different("unmeasured", unmeasured))
+    error = trials.reference - trials.y
+    trials = trials.assign(e=error.assign_attrs(trials.y.attrs))
     law, loop = law_of(trials), loop_of(trials)
     commands_known = isinstance(loop, ClosedLoop) or (loop is not None and "u" in trials)
     if law is not None and law.limits and not commands_known:
         law = None  # whose projection cannot be computed
-    result = Replay(trials, loop, law, unmeasured)
+    result = Replay(trials, loop, law)
     for text in result.warnings:
         warnings.warn(text, stacklevel=2)
     return result

@@ -13,14 +13,12 @@ from ilctools.errors import LogError
 from ilctools.files import regular
 from ilctools.logs.clock import mean_step
 from ilctools.logs.format import check_signals, few
-from ilctools.logs.reader import about, numbers_in, trials_of
+from ilctools.logs.reader import OPTIONS, about, numbers_in, trials_of
 from ilctools.signals import SIGNALS
 from ilctools.units import SECONDS, seconds
 
 SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
-# of pandas, which then warns of rows that are longer than the titles, and shifts no column
-OPTIONS = {"skipinitialspace": True, "index_col": False}
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
 
 
