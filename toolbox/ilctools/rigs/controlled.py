@@ -112,34 +112,37 @@ class ControlledRig:
         self.rig, self.loop, self.goes_on = rig, loop, goes_on
         self.ours = isinstance(loop, CurrentTrialLoop)
         self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
-        self.inputs = list(getattr(rig, "inputs", self.commands))
-        if missing := [name for name in self.commands if name not in self.inputs]:
-            raise ValueError(f"rig.inputs = {self.inputs} must name the commands {missing}")
+        self.find_signals()
+        self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
+        self.decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
+        for name, value in self.decimals.items():
+            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
+        self.set_limits(law, stop, reference)
+        self.clock, self.bring_back, self.leave_safe = (
+            getattr(rig, name, None) for name in ("clock", "begin", "safe")
+        )
+        safe_time = arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME))
+        self.interrupts = Interrupts(self.make_safe, safe_time)
+        self.late = []  # by how much each sample of the trial is off the rig's clock, s
+        self.place = ""  # trial and sample, for errors
+        self.reset()
+
+    def set_limits(self, law, stop, reference) -> None:
+        """What commands are cut off at, by law or rig, and where the experiment stops."""
+        rig = self.rig
         limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs, slew=True)
         self.limits = {name: limits[name] for name in self.commands if name in limits}
         if law is not None and law.limits is None:
             law = replace(law, limits=self.limits)
         self.law, self.actuators = law, None if law is None else law.actuators
-        self.stop = stop_limits(stop, reference, loop, self.limits)
-        self.decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
-        for name, value in self.decimals.items():
-            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
-        self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
-        self.clock, self.bring_back, self.leave_safe = (
-            getattr(rig, name, None) for name in ("clock", "begin", "safe")
-        )
-        self.interrupts = Interrupts(
-            self.make_safe,
-            arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME)),
-        )
-        self.late = []  # by how much each sample of the trial is off the rig's clock, s
-        self.place = ""  # trial and sample, for errors
-        self.find_signals()
-        self.reset()
+        self.stop = stop_limits(stop, reference, self.loop, self.limits)
 
     def find_signals(self) -> None:
         """Which signals are sent, measured and recorded beside commands and outputs."""
         loop, measured = self.loop, getattr(self.rig, "measured", {})
+        self.inputs = list(getattr(self.rig, "inputs", self.commands))
+        if missing := [name for name in self.commands if name not in self.inputs]:
+            raise ValueError(f"rig.inputs = {self.inputs} must name the commands {missing}")
         self.reported = [] if self.ours else loop.controls  # u, by the rig
         if missing := [name for name in self.reported if name not in measured]:
             raise ValueError(f"rig.measured must have the controls {missing} of the loop")

@@ -69,11 +69,11 @@ def record(
     path : path-like, optional
         Of a log, to which each trial is added when it ends, so that a fault costs one trial at
         most, or two just after one has ended without reset; without it, all. A link is followed.
-        What another program writes there meanwhile ends the run and stays. If the log is there,
-        its trials must be of the same experiment, and the next one follows; a last trial that is
-        torn or shorter than the first is dropped, with a warning. That the plant is
-        the same, nothing checks but the trials that follow. If it has `trials` or more, none is
-        run, and all of them are returned. Meanwhile no other process can record to it.
+        If the log is there, its trials must be of the same experiment, and the next one follows; a
+        last trial that is torn or shorter than the first is dropped, with a warning. That the plant
+        is the same, nothing checks but the trials that follow. If it has `trials` or more, none is
+        run, and all of them are returned. Meanwhile no other process can record to it, and no other
+        program must write to it.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. With L None, that of all trials.
     pause : int, optional
@@ -102,7 +102,8 @@ def record(
         If something does not belong together; before anything is applied.
     RigError
         If a reading is not finite or has the wrong shape: the trial ends, those before it stay. As
-        any error of a driver or a disk, it has the trials before in its attribute ``trials``.
+        any error of a driver or a disk, it has the trials before in its attribute ``trials``, and
+        the trial and the sample in a note.
     StoppedError
         If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError.
 
@@ -112,7 +113,7 @@ def record(
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
         what it follows, if it has limits, once if v is learned within them; that started elsewhere
         than the first; once, if the trials show that they do not converge, see
-        :mod:`ilctools.trials.diagnosis`. If the log has more trials than asked for.
+        :mod:`ilctools.trials.diagnosis`.
 
     See Also
     --------

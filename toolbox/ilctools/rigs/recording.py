@@ -11,7 +11,6 @@ import xarray as xr
 from tqdm import tqdm
 
 from ilctools import arguments
-from ilctools.errors import RigError
 from ilctools.files import alone, append, regular
 from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.notes import KEYS, RESET
@@ -39,7 +38,6 @@ class Experiment:
     log: xr.Dataset | None = None
     trials: list[Part] = field(default_factory=list)
     lost: bool = False  # whether rounding left nothing of the last v
-    size: int | None = None  # of the log, in bytes, as this experiment left it
 
     def run(self, pause: int | None, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; the log of all."""
@@ -52,17 +50,9 @@ class Experiment:
                 locks.enter_context(alone(path.with_name(f".{path.name}.lock"), busy))
                 if path.exists():
                     self.go_on_from(read_log(path, ended=True), path)
-            ended, count = len(self.trials), len(self.reference)
-            if ended > count:
-                warnings.warn(
-                    f"path = '{path}' has {ended} trials, more than trials = {count}: all of them "
-                    "are returned",
-                    stacklevel=3,
-                )
-            if ended < count:
-                if ended:
-                    write_log(self.log, path)
-                    self.size = path.stat().st_size
+            if len(self.trials) < len(self.reference):
+                if self.trials:
+                    write_log(self.log, path)  # without a last trial that is torn
                 self.run_on(pause, path)
         return self.log
 
@@ -78,12 +68,9 @@ class Experiment:
                     rig.interrupts.leave()
         except Exception as error:
             error.trials = self.log
-            if not isinstance(error, RigError):
-                error.add_note(f"in {rig.place}")
-                raise
-            error.args = (
-                f"{rig.place}: {error}. Nothing was applied after it but what leaves the rig safe; "
-                f"the attribute trials of this error has {len(self.trials)} (path = {path})",
+            error.add_note(
+                f"in {rig.place}; nothing was applied after it but what leaves the rig safe; the "
+                f"attribute trials of this error has {len(self.trials)} (path = {path})"
             )
             raise
 
@@ -116,20 +103,14 @@ class Experiment:
     def save(self, path, log) -> None:
         """Add the last trial of a log to its file, or write all where there is none.
 
-        By rows, because meanwhile the next trial may run. What others wrote there is left alone.
+        By rows, because meanwhile the next trial may run.
         """
         if not path.exists():
             write_log(log, path)
-        elif path.stat().st_size == self.size:
-            k, names = len(log.trial), columns_of(signals_of(log), log)
-            rows = rows_as_text(k, log.time.values, [self.trials[k - 1][name] for name in names])
-            append(path, rows)
-        else:
-            raise FileExistsError(
-                f"path = '{path}' was changed by another program during a trial, and is left as it "
-                "is: save the attribute trials of this error by save_log, at another path"
-            )
-        self.size = path.stat().st_size
+            return
+        k, names = len(log.trial), columns_of(signals_of(log), log)
+        rows = rows_as_text(k, log.time.values, [self.trials[k - 1][name] for name in names])
+        append(path, rows)
 
     def run_trial(self, k, pause, bar) -> tuple[Part, str]:
         """Run trial k, counted from 0, and what there is to say of the pause before it.
@@ -189,20 +170,19 @@ class Experiment:
     def go_on_from(self, log, path) -> None:
         """Take the trials of a log, and its notes; refuse those of another experiment."""
         sources = log.source.values.tolist() if "source" in log.coords else []
-        numbers = log.trial.values.tolist()
-        count, references = len(numbers), self.reference
+        count = log.sizes["trial"]
+        asked = self.reference[:count]
         same = {
-            "reference": np.array_equal(log.reference[: len(references)], references[:count]),
+            "reference": np.array_equal(log.reference[: len(asked)], asked),
             "v of trial 1": np.array_equal(log.v[0], self.rig.rounded("v", self.following([]))),
             **{key: log.attrs.get(key) == self.notes.get(key) for key in NOTED},
             "disturbances": sources == [*self.rig.recorded],
-            "numbers of the trials": numbers == [*range(1, count + 1)],
         }
         if differing := [what for what, is_same in same.items() if not is_same]:
             raise ValueError(
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
             )
-        signals = {name: log[name].values for name in SIGNALS if name in log}
-        self.trials = [{name: signals[name][k] for name in signals} for k in range(count)]
+        signals = [name for name in SIGNALS if name in log]
+        self.trials = [{name: log[name].values[k] for name in signals} for k in range(count)]
         self.log, self.notes = log, log.attrs | self.notes
