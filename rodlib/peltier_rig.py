@@ -162,26 +162,16 @@ class PeltierRig(Bench):
         super().__init__(rod, parameters, Ts, seed)
         p, sections, m = parameters, rod.sections, len(rod.sensors)
         # cells that conduct, but lose nothing to the air, or next to nothing: a Rod must lose some
-        rod_cells = finite_volumes(replace(rod, heat_transfer=1e-11), p.cells)
-        cells = rod_cells.nstates
-        sinks, shown = np.split(np.arange(cells, cells + sections + m), [sections])
-        warmed = rod_cells.B[:, :-1]  # K/s of each cell for 1 W from each element
-        mean = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))  # of each section
-
-        # A x: conduction in the rod, through the elements, from the sinks and into the sensors
-        K, C, follows = p.element.conductance, p.sink_capacity, 1 / p.lag if p.lag else 0.0
-        lost = np.repeat([0.0, (K + p.fan) / C, follows], [cells, sections, m])  # 1/s
-        A = -np.diag(lost)
-        A[:cells, :cells] = rod_cells.A - np.diag(K * warmed.sum(axis=1))
-        A[:cells, sinks] = K * warmed
-        A[sinks, :cells] = K / C * mean
-        A[shown, :cells] = follows * rod_cells.C
+        conducting = finite_volumes(replace(rod, heat_transfer=1e-11), p.cells)
+        cells, C = conducting.nstates, p.sink_capacity
+        A = _linear_part(conducting, p)
         self._decay, self._first, self._second = _exponentials(A, self.Ts)
         self._sensors = np.eye(m, len(A), cells + sections)
         if not p.lag:
-            self._sensors = np.pad(rod_cells.C, [(0, 0), (0, sections + m)])
+            self._sensors = np.pad(conducting.C, [(0, 0), (0, sections + m)])
 
         # K/s of every state: for 1 W from the elements, and of what is half of the Joule heat
+        warmed = conducting.B[:, :-1]
         self._elements = np.hstack([warmed.T, -np.eye(sections) / C, np.zeros((sections, m))])
         self._halves = np.abs(self._elements) / 2
         # for 1 K of the room, and for 1 W/m2 from the surface above each cell
@@ -253,6 +243,25 @@ class RestartingPeltierRig(Restarting, PeltierRig):
     >>> rig.read().shape
     (2,)
     """
+
+
+def _linear_part(conducting, p):
+    """A x: conduction in the rod, through the elements, from the sinks and into the sensors, K/s.
+
+    The states are cells, sinks and what the sensors show.
+    """
+    warmed, (m, _) = conducting.B[:, :-1], conducting.C.shape  # K/s of a cell, 1 W of an element
+    cells, sections = warmed.shape
+    mean = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))  # of each section
+    K, C, follows = p.element.conductance, p.sink_capacity, 1 / p.lag if p.lag else 0.0
+    through = np.diag(K * warmed.sum(axis=1))
+    return np.block(
+        [
+            [conducting.A - through, K * warmed, np.zeros((cells, m))],
+            [K / C * mean, -(K + p.fan) / C * np.eye(sections), np.zeros((sections, m))],
+            [follows * conducting.C, np.zeros((m, sections)), -follows * np.eye(m)],
+        ]
+    )
 
 
 def _exponentials(A, Ts):

@@ -56,18 +56,19 @@ def half_unit(printed: str) -> float:
 
 
 def _table(name):
-    return pd.read_csv(FOLDER / f"{name}.csv", dtype=str, keep_default_na=False)
+    return pd.read_csv(FOLDER / f"{name}.csv", index_col=0, dtype=str, keep_default_na=False)
 
 
 def matrix(name: str) -> np.ndarray:
     """A printed matrix, one of `MATRICES`, filters with the shape of their coefficients."""
-    return _arranged(name, _table(name).iloc[:, 1:].map(value).to_numpy())
+    return _arranged(name, _table(name).map(value).to_numpy())
 
 
 def keys(name: str) -> np.ndarray:
     """Keys of the claims that a matrix makes, in its place; "" where it is zero by structure."""
-    entries = [key for key in claims() if key.startswith(f"{name}[")]
-    return _arranged(name, np.reshape(entries, (len(_table(name)), -1)))
+    table = _table(name)
+    entries = [[f"{name}[{row},{column}]" for column in table] for row in table.index]
+    return _arranged(name, np.array(entries))
 
 
 def _arranged(name, table):
@@ -88,8 +89,7 @@ def claims() -> dict[str, Claim]:
     An entry of a matrix has a key like "N[1,2]": row and column as in its file, from one.
     """
     expanded = []
-    for row in _table("claims").to_numpy():
-        claim = Claim(*row)
+    for claim in (Claim(*row) for row in _table("claims").itertuples()):
         if claim.key in MATRICES:
             expanded.extend(_entries(claim))
         elif claim.key == "invariants":
@@ -101,8 +101,7 @@ def claims() -> dict[str, Claim]:
 
 def _entries(claim):
     """The claims that a matrix makes."""
-    table = _table(claim.key)
-    for (row, column), printed in table.set_index(table.columns[0]).stack().items():
+    for (row, column), printed in _table(claim.key).stack().items():
         entry = f"[{row},{column}]"
         # The observer's last two rows are of the disturbance: no state coordinates.
         kind = "printed" if claim.key == "K_L" and row in ("11", "12") else claim.kind
