@@ -88,12 +88,6 @@ def test_a_stuck_sensor_makes_no_response():
         measured_response(shake(Stuck(LAG), LOOP, shaking))
 
 
-def test_a_v_that_rounding_leaves_nothing_of_is_said():
-    with pytest.warns(UserWarning, match="after trial 2: decimals rounds all of v to zero"):
-        log = record(RestartingModel(LAG), LOOP, LAW, bump(60, [1e-3]), trials=3, decimals={"v": 1})
-    assert not log.v.any()
-
-
 def test_the_error_is_what_reference_and_outputs_say():
     log = run_trials(LOOP, LAW, bump(60, [1.0]), trials=2)
     assert replay(log.assign(e=-log.e)).trials.identical(replay(log).trials)

@@ -86,14 +86,7 @@ class CurrentTrialLoop:
         exactly a trial with this v without limits, whatever the plant: u = N w - K_s x-hat - delta,
         (18).
         """
-        try:
-            return v + (applied - u) @ self._N_inverse.T
-        except np.linalg.LinAlgError:
-            raise ValueError("loop.N is singular: w does not follow from its commands") from None
-
-    @cached_property
-    def _N_inverse(self):
-        return np.linalg.inv(self.N)
+        return v + (applied - u) @ np.linalg.inv(self.N).T
 
     @property
     def P(self) -> control.StateSpace:

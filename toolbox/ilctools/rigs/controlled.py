@@ -1,7 +1,6 @@
 """A rig and its controller: ours, or the rig's; sample by sample."""
 
 import math
-import reprlib
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from ilctools.law.limits import named_limits
 from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
 from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
 from ilctools.rigs.limits import stop_limits
+from ilctools.rigs.protocol import Rig
 from ilctools.trials.learn import joined
 
 STILL = 0.1  # of a trial, for which outputs that are back must stand still
@@ -108,7 +108,7 @@ class ControlledRig:
         decimals: dict[str, int] | None = None,
         goes_on: bool = False,
     ):
-        _check_methods(rig)
+        arguments.instance("rig", rig, Rig)
         self.rig, self.loop, self.goes_on = rig, loop, goes_on
         self.ours = isinstance(loop, CurrentTrialLoop)
         self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
@@ -276,15 +276,6 @@ class ControlledRig:
         except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
             raise
-
-
-def _check_methods(rig):
-    """Refuse what is no rig."""
-    methods = (getattr(rig, name, None) for name in ("read", "apply"))
-    if isinstance(rig, type) or not all(callable(method) for method in methods):
-        raise ValueError(
-            f"rig = {reprlib.repr(rig)} is a class or has no methods read and apply: see Rig"
-        )
 
 
 def _reading(name, values, shape):

@@ -84,7 +84,8 @@ def record(
         v is computed while a trial runs. An experiment that goes on in its log starts anew, from
         what was learned.
     decimals : dict, optional
-        Of v, u (rounded before they act), delta and measured disturbances. Default: all digits.
+        Of v, u (rounded before they act), delta and measured disturbances; too few leave nothing of
+        v. Default: all digits.
     stop : dict, optional
         Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
         stands for no limit. Default: outputs may be beyond all references by five times the largest

@@ -1,9 +1,10 @@
 """What an experiment asks of a rig, and what it says when a rig fails."""
 
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
+@runtime_checkable
 class Rig(Protocol):
     """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
 

@@ -37,7 +37,6 @@ class Experiment:
     notes: dict[str, str]  # of what makes the trials
     log: xr.Dataset | None = None
     trials: list[Part] = field(default_factory=list)
-    lost: bool = False  # whether rounding left nothing of the last v
 
     def run(self, pause: int | None, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; the log of all."""
@@ -126,14 +125,8 @@ class Experiment:
                 late = rig.pause(k + 1, pause, reference[0], self.start()) if k else ""
             return rig.run(k + 1, w, self.commanded[k, now], bar, now.start)
 
-        return joined(learn(run, self.rounded_v, reference, self.trials)), late
-
-    def rounded_v(self, trials) -> np.ndarray:
-        """v after these trials, with as many digits as are recorded."""
-        following = self.following(trials)
-        v = self.rig.rounded("v", following)
-        self.lost = following.any() and not v.any()
-        return v
+        following = lambda trials: rig.rounded("v", self.following(trials))  # noqa: E731
+        return joined(learn(run, following, reference, self.trials)), late
 
     def warnings(self) -> dict[str, str]:
         """What the last trial shows, with those before it, by kinds."""
@@ -148,8 +141,6 @@ class Experiment:
         if rig.law is not None:
             texts |= diagnose(self.log, rig.law, first=number)
             texts["start"] = self.another_start()
-        if self.lost:
-            texts["decimals"] = "decimals rounds all of v to zero: give it more digits"
         if late := [off for off in rig.late if off > LATE * rig.Ts]:
             texts["clock"] = f"{len(late)} samples were not on time, by up to {max(late):.3g} s"
         return {kind: text and f"after trial {number}: {text}" for kind, text in texts.items()}
