@@ -34,15 +34,6 @@ def test_model_converges_to_the_exact_response_with_the_degree(rod):
     assert errors[-1] < 1e-7
 
 
-@pytest.mark.parametrize(("omega", "printed"), [(0.01, 0.009), (0.065, 0.26)])
-def test_error_of_the_cubic_model_is_what_was_found_independently(omega, printed):
-    columns = [0, 2]
-    exact = exact_response(Rod(), [1j * omega])[0][:, columns]
-    model = frequency_response(midr(Rod()), [omega])[0][:, columns]
-    error = np.linalg.norm(model - exact, 2) / np.linalg.norm(exact, 2)
-    assert error == pytest.approx(printed, rel=0.1)
-
-
 def test_exact_response_neither_overflows_nor_misses_its_pole():
     rod = Rod()
     assert np.isfinite(exact_response(rod, [1e6j, 1e3, -1e3 + 1j])).all()

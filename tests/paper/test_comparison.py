@@ -151,19 +151,6 @@ def test_figures_that_come_and_go_are_named_and_others_left_alone(before, tmp_pa
     assert different_figures(drawn, tracked) == ["extra02", "fig03"]
 
 
-@pytest.mark.parametrize("name", ["extra07-choice", "fig09-recorded-signals"])
-def test_a_tracked_figure_without_a_curve_is_found(name, tmp_path):
-    """Its pixels of one colour, but for gray ones, are those of the paper beneath."""
-    path = ROOT / "figures" / f"{name}.png"
-    picture = plt.imread(path)
-    shades, counts = np.unique(
-        picture[np.ptp(picture[..., :3], axis=-1) > 0.2], axis=0, return_counts=True
-    )
-    picture[(picture == shades[counts.argmax()]).all(axis=-1)] = 1
-    plt.imsave(tmp_path / path.name, picture)
-    assert same_picture(path, path) and not same_picture(path, tmp_path / path.name)
-
-
 def test_nbval_lets_a_last_digit_pass_and_finds_a_word(tmp_path):
     notebook = nbformat.v4.new_notebook()
     for now in ("0.8834 K", "0.8833 s"):

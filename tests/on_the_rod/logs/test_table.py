@@ -1,7 +1,5 @@
 """Tables of others: what they say is read, and what is wrong is named by row and column."""
 
-import gzip
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -105,15 +103,6 @@ def test_rows_that_are_longer_than_the_titles_do_not_move_columns(tmp_path):
     with pytest.warns(pd.errors.ParserWarning, match="loss of data"):
         read(tmp_path, named)
     assert read(tmp_path, named, index_col=0).equals(ended)
-
-
-def test_compressed_text_is_read(tmp_path):
-    values = np.random.default_rng(0).normal(size=500)
-    text = "\n".join(["level", *map(repr, values.tolist())])
-    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(text.encode()))
-    log = read_table(tmp_path / "log.csv.gz", Ts=1.0, outputs={"h": 0})
-    np.testing.assert_allclose(log.y[0, :, 0], values, rtol=1e-15)
-    assert log.attrs["origin"] == "read from log.csv.gz"
 
 
 def board(**more):

@@ -95,7 +95,7 @@ class Replay:
                 self.trials.reference.values,
                 None if isinstance(self.loop, ClosedLoop) else self.disturbance,
                 trials=len(self.numbers),
-                v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
+                v=self.trials.v.values[0],
                 reset=self.resets,
             )
 
