@@ -47,8 +47,8 @@ class PeltierElement:
 
     def __post_init__(self):
         arguments.positive("seebeck", self.seebeck)
-        for resistance in arguments.array("resistance", self.resistance, (...,)).flat:
-            arguments.not_negative("resistance", float(resistance))
+        smallest = arguments.array("resistance", self.resistance, (...,)).min()
+        arguments.not_negative("resistance", float(smallest))
         for name in ("conductance", "limit"):
             arguments.not_negative(name, getattr(self, name))
 
@@ -106,9 +106,9 @@ class PeltierParameters:
     def __post_init__(self):
         for name in ("element", "known"):
             arguments.instance(name, getattr(self, name), PeltierElement)
-        for name in ("sink_capacity", "temperature"):
+        for name in ("sink_capacity", "temperature", "lag"):
             arguments.positive(name, getattr(self, name))
-        for name in ("fan", "convection", "emissivity", "lag", "noise", "quantum"):
+        for name in ("fan", "convection", "emissivity", "noise", "quantum"):
             arguments.not_negative(name, getattr(self, name))
         arguments.number("ambient_rate", self.ambient_rate, "a finite number")
         arguments.whole("cells", self.cells, 1, 100)
@@ -167,8 +167,6 @@ class PeltierRig(Bench):
         A = _linear_part(conducting, p)
         self._decay, self._first, self._second = _exponentials(A, self.Ts)
         self._sensors = np.eye(m, len(A), cells + sections)
-        if not p.lag:
-            self._sensors = np.pad(conducting.C, [(0, 0), (0, sections + m)])
 
         # K/s of every state: for 1 W from the elements, and of what is half of the Joule heat
         warmed = conducting.B[:, :-1]
@@ -253,7 +251,7 @@ def _linear_part(conducting, p):
     warmed, (m, _) = conducting.B[:, :-1], conducting.C.shape  # K/s of a cell, 1 W of an element
     cells, sections = warmed.shape
     mean = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))  # of each section
-    K, C, follows = p.element.conductance, p.sink_capacity, 1 / p.lag if p.lag else 0.0
+    K, C, follows = p.element.conductance, p.sink_capacity, 1 / p.lag
     through = np.diag(K * warmed.sum(axis=1))
     return np.block(
         [

@@ -62,7 +62,7 @@ def test_the_convection_is_that_of_a_plate_in_air():
 def test_for_small_currents_it_is_the_linear_rig():
     """Where the sinks stay at the temperature of the room: 64 cells against 300 modes."""
     poor = PeltierElement(conductance=0.3)
-    rig = PeltierRig(parameters=replace(SILENT, element=poor, fan=1e7, lag=0))
+    rig = PeltierRig(parameters=replace(SILENT, element=poor, fan=1e7, lag=1e-6))
     ideal = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
     linear = VirtualRig(rig.linearised, ideal)
     commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(25, axis=0)
