@@ -108,7 +108,8 @@ class ControlledRig:
         decimals: dict[str, int] | None = None,
         goes_on: bool = False,
     ):
-        arguments.instance("rig", rig, Rig)
+        if isinstance(arguments.instance("rig", rig, Rig), type):
+            raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
         self.rig, self.loop, self.goes_on = rig, loop, goes_on
         self.ours = isinstance(loop, CurrentTrialLoop)
         self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
