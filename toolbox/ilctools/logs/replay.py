@@ -14,6 +14,7 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.files import write_whole
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.law.repetitive import next_samples, repeated
@@ -258,7 +259,7 @@ class Replay:
         units = self.trials.output_unit.values
         titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
         time = pd.Index(self.trials.time.values[: len(self.following)], name="time (s)")
-        pd.DataFrame(self.following, time, [*titles]).to_csv(path)
+        write_whole(path, pd.DataFrame(self.following, time, [*titles]).to_csv())
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
