@@ -229,7 +229,7 @@ def test_the_truth_between_samples_of_random_plants_is_below_the_estimate(seed, 
 
 def test_learning_that_does_nothing_is_named():
     problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
-    none = np.zeros((len(OMEGA), 2, 2))
+    none = 0 * response(MODELS[0])
     nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, 0)
     [found] = certify(problem, nothing).warnings
     assert (found.code, found.value) == ("idle", 1)
