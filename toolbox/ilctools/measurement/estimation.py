@@ -41,7 +41,7 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import Regression, contrasts, records, regression
+from ilctools.measurement.regression import Regression, regression
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
@@ -233,58 +233,6 @@ class EstimatedResponse(Measured):
         rest = _without(off, left, power)
         return 1 - np.sqrt(np.square(rest).mean(axis=(0, 1)) / power)
 
-    def residuals(self, lags: int = 25) -> tuple[np.ndarray, np.ndarray, float]:
-        """Correlations of what each output's regression leaves, and the band of 99 % for each.
-
-        Returns
-        -------
-        own : ndarray, shape (outputs, lags)
-            With themselves at lags 1, 2, ...: noise that the lags of A do not describe.
-        crossed : ndarray, shape (outputs, inputs, 2 lags + 1)
-            With the inputs, -lags to lags before them: at positive lags, a response that is
-            missing; at negative ones, that the inputs follow the outputs, as in a loop.
-        band : float
-            Within -band to band is each of them if the residuals are white and independent.
-        """
-        m, count = len(self.record.inputs), 0
-        products = np.zeros((len(self.fits), 1 + m, 2 * lags + 1))
-        powers = np.zeros((len(self.fits), 1 + m))
-        for i, fit in enumerate(self.fits):
-            groups = self.record.of_output(i)
-            inputs = [u for group in groups for u in contrasts(group.u[..., :m])]
-            rows, count = records(groups, fit.data.layout), 0
-            for u, (X, y, line, _) in zip(inputs, rows, strict=True):
-                e, u = y - X @ fit.mean, u[-len(y) :]
-                signals = np.column_stack([e, u - line @ (line.T @ u)])
-                products[i] += [_correlation(e, x, lags) for x in signals.T]
-                powers[i] += np.square(signals).sum(axis=0)
-                count += len(e)
-        products /= np.sqrt(powers[:, :1] * powers)[..., None]
-        return products[:, 0, lags + 1 :], products[:, 1:], float(ndtri(0.995) / np.sqrt(count))
-
-    def plot(self):
-        """Draw gain and phase of each entry of P, their joint region of 99 %, and residuals.
-
-        Two rows for each output: gain and phase, shaded gray where P is not identified; beside them
-        :meth:`residuals` with their band.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-        """
-        figure, axes = self._bode(columns=1)
-        own, crossed, band = self.residuals()
-        lags = np.arange(1, own.shape[1] + 1)
-        pairs = axes.reshape(-1, 2)
-        for (whiteness, response), one, others in zip(pairs, own, crossed, strict=True):
-            whiteness.plot(lags, one, ".")
-            response.plot(np.arange(-lags[-1], lags[-1] + 1), others.T, ".")
-            whiteness.set(title="residuals, later residuals", ylabel="correlation")
-            response.set(title="inputs, later residuals", xlabel="lag", ylabel="correlation")
-            for ax in (whiteness, response):
-                ax.axhspan(-band, band, alpha=0.3)
-        return figure
-
     def _basis(self, omega, confidence):
         lines = [
             f"P estimated from {self.record}; the truth is within the radius with confidence "
@@ -311,13 +259,6 @@ class EstimatedResponse(Measured):
         radius = self.radius()[self.known]
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
         return f"{super().__repr__()}\n{within}"
-
-
-def _correlation(e, x, lags):
-    """Sums of x(t) e(t + lag), for lags from -lags to lags."""
-    size = 2 * len(e)
-    sums = np.fft.irfft(np.fft.rfft(x, size).conj() * np.fft.rfft(e, size), size)
-    return np.concatenate([sums[-lags:], sums[: lags + 1]])
 
 
 def _without(off, left, power):

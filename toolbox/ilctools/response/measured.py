@@ -90,13 +90,9 @@ class Measured:
         -------
         matplotlib.figure.Figure
         """
-        return self._bode()[0]
-
-    def _bode(self, columns=0):
-        """The figure, and the axes of further columns."""
         (inputs, outputs), (n, p, m) = self.names, self.response.shape
-        figure = Figure(figsize=(3.2 * (m + columns), 4 * p), layout="constrained")
-        axes = figure.subplots(2 * p, m + columns, squeeze=False)
+        figure = Figure(figsize=(3.2 * m, 4 * p), layout="constrained")
+        axes = figure.subplots(2 * p, m, squeeze=False)
         radius = self.radius(CONFIDENCE, jointly=True)
         sizes, known = np.abs(self.response), getattr(self, "known", np.ones(n, bool))
         for (i, j), size in zip(np.ndindex(p, m), sizes.reshape(n, -1).T, strict=True):
@@ -117,7 +113,7 @@ class Measured:
                 ax.fill_between(self.omega, low, high, alpha=0.3)
                 across = ax.get_xaxis_transform()
                 ax.fill_between(self.omega, 0, 1, ~known, color="0.9", transform=across)
-        return figure, axes[:, m:]
+        return figure
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
