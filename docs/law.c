@@ -17,12 +17,12 @@
 #define REFUSE(...) (fprintf(stderr, "law: " __VA_ARGS__), fputc('\n', stderr), exit(1))
 #define DAMAGED(what) REFUSE("byte %d of the law: %s", (int)(at - text), what)
 enum { MOST = 1 << 20, SAMPLES = 1 << 17, LETTERS = 32, FAR = 1000000 };
-enum { FORMAT, NOTE, ENDS, Q, L, BASE, SOS, K, B, TS, CUT, GAIN, ORDER, REST, FIRST, FROM, KEYS };
+enum { FORMAT, NOTE, ENDS, Q, L, BASE, SOS, K, TS, CUT, GAIN, ORDER, REST, FIRST, KEYS };
 static const char *const NAMES[KEYS] = {"format", "note", "ends", "Q", "L", "base", "sections",
-    "coefficients", "taps", "Ts", "cutoff", "step", "order", "rest", "first", "from"};
+    "coefficients", "Ts", "cutoff", "step", "order", "rest", "first"};
 static const double PI = 3.14159265358979323846, ROUNDING = 4e-15;
-static double scalar[KEYS] = {[GAIN] = 1, [FIRST] = 1}, sos[300], taps[2][MOST];
-static double heard[SAMPLES], made[SAMPLES], v[SAMPLES], e[SAMPLES], once[2 * SAMPLES];
+static double scalar[KEYS] = {[GAIN] = 1, [FIRST] = 1}, sos[300], taps[MOST];
+static double made[SAMPLES], v[SAMPLES], e[SAMPLES], once[2 * SAMPLES];
 static int sizes[KEYS][3], of_L, newer;  /* of arrays; keys of L; whether it is the second format */
 static char text[1 << 24], *at = text, word[LETTERS];  /* the file, where the reader is, a string */
 
@@ -85,7 +85,6 @@ static int object(int all, int others)
     do {
         for (string(), key = 0; key < KEYS && strcmp(word, NAMES[key]); key++);
         if (!strcmp(word, "actuators")) DAMAGED("there must be no limits");
-        if (!strcmp(word, "b")) DAMAGED("the base is a model; synthesise with reach");
         if (!((all | others) & ~seen & 1 << key)) DAMAGED("a key is unknown here, or stands twice");
         seen |= 1 << key;
         need(':');
@@ -96,9 +95,10 @@ static int object(int all, int others)
         if (key == Q) object(1 << ORDER | 1 << CUT | 1 << ENDS, 0);
         if (key == L) of_L = object(1 << K | 1 << ENDS, 1 << FIRST | 1 << BASE);
         if (key == SOS) array(sos, sizeof sos / sizeof *sos, 2, sizes[key]);
-        if (key == K || key == B) array(taps[key == B], MOST, 3, sizes[key]);
-        if (key == BASE && !strncmp(at += strspn(at, " \t\r\n"), "null", 4)) at += 4;
-        else if (key == BASE) object(1 << B | 1 << FROM, 0);
+        if (key == K) array(taps, MOST, 3, sizes[key]);
+        if (key == BASE && strncmp(at += strspn(at, " \t\r\n"), "null", 4))
+            DAMAGED("the base is a model; synthesise with reach");
+        if (key == BASE) at += 4;
         if (key >= TS) scalar[key] = number(key >= ORDER);
         if (key < ORDER ? key >= TS && scalar[key] <= 0 : fabs(scalar[key]) > FAR)
             DAMAGED("a number is out of its range");
@@ -154,8 +154,7 @@ int main(int argc, char **argv)
     if (!next(0) || at != text + length + 1) DAMAGED("something follows the closing brace");
     int m = sizes[K][0], n = 0, rest = (int)scalar[REST], both = 1 << FIRST | 1 << BASE;
     double gain = scalar[GAIN], reach = decay();
-    if (sizes[K][1] != m || (sizes[B][0] && (sizes[B][0] != m || sizes[B][1] != m)))
-        REFUSE("coefficients or taps are not for %d channels", m);
+    if (sizes[K][1] != m) REFUSE("coefficients are not for %d channels", m);
     if ((of_L & both) != (newer ? both : 0)) REFUSE("first and base are keys of format 2");
     if (rest < 0 || gain > 1) REFUSE("rest or step is out of its range");
     for (; fgets(at = text, sizeof text, stdin); n++) {
@@ -172,9 +171,7 @@ int main(int argc, char **argv)
         REFUSE("the trial has %d samples, the rest %d", n, rest);
     if (!(reach >= 0 && n + reach <= 2 * SAMPLES)) REFUSE("trial too long, or cut-off too low");
     int tail = (int)reach;  /* until the response beyond the end has decayed to rounding */
-    look(taps[0], sizes[K][2], (int)scalar[FIRST], e, heard, n, m);  /* L e, or B K e */
-    if (sizes[B][0]) look(taps[1], sizes[B][2], (int)scalar[FROM], heard, made, n, m);
-    else memcpy(made, heard, sizeof made);
+    look(taps, sizes[K][2], (int)scalar[FIRST], e, made, n, m);  /* L e */
     for (int i = 0; i < m; i++) {
         memset(once, 0, sizeof once);
         for (int p = 0; p < n; p++) once[p] = v[p * m + i] + made[p * m + i];

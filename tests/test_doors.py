@@ -161,7 +161,7 @@ DOORS = [
     (alternatives.pd_type,),
     (alternatives.gradient,),
     (ilctools.NormOptimal,),
-    (alternatives.two_sided_taps,),
+    (alternatives.extent,),
     (ilctools.Controller,),
     (ilctools.multisine, {}, SHAKE),
     (ilctools.record, {}, ON_PAPER),
@@ -180,7 +180,7 @@ DOORS = [
 # Tested with their own files, or not called by themselves.
 TESTED = """InfeasibleError MISMATCHED Rig TemperatureControlLab alternatives errors
     approximations heat_balance open_workbench plot paper_choices
-    state_sequence try_out unreachable_modes"""
+    state_sequence try_out"""
 ELSEWHERE = {*TESTED.split()}
 
 

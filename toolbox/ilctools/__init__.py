@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 MODULES = {
-    "models": "frequency_response minimal_realisation state_sequence unreachable_modes",
+    "models": "frequency_response minimal_realisation state_sequence",
     "filters": "LearningFilter zero_phase_butterworth",
     "loop.closed": "ClosedLoop",
     "loop.design": "current_trial_loop",

@@ -31,7 +31,6 @@ from ilctools.measurement.measurement import measured_response as measured_respo
 from ilctools.models import frequency_response as frequency_response
 from ilctools.models import minimal_realisation as minimal_realisation
 from ilctools.models import state_sequence as state_sequence
-from ilctools.models import unreachable_modes as unreachable_modes
 from ilctools.rigs.controlled import Controller as Controller
 from ilctools.rigs.experiments import record as record
 from ilctools.rigs.experiments import shake as shake

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import control
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, rfftfreq
 from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -143,31 +143,23 @@ class NormOptimal:
 
     def frequency_response(self, omega) -> np.ndarray:
         """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
-        P = frequency_response(self.P, omega)
-        adjoint = P.conj().swapaxes(1, 2)
-        weight = self.weight * np.eye(self.P.ninputs)
-        return np.linalg.solve(adjoint @ P + weight, adjoint)
+        return regularised_inverse(frequency_response(self.P, omega), np.sqrt(self.weight))
 
     @cached_property
-    def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and C of P, of states in units of like size: pivots stay near the diagonal."""
-        return balanced(self.P.A, self.P.B, self.P.C)
+    def _model(self) -> tuple[np.ndarray, np.ndarray]:
+        """[A, B] and [C, D] of P in states of like size: pivots stay near the diagonal."""
+        A, B, C = balanced(self.P.A, self.P.B, self.P.C)
+        return np.hstack([A, B]), np.hstack([C, self.P.D])
 
     @cached_property
     def _factors(self) -> SuperLU:
         """Of the conditions of optimality, for x(p), change(p), lambda(p), p = 0, 1, ..."""
-        (A, B, C), D = self._states, self.P.D
-        n, m = B.shape
-        O, I = np.zeros, np.eye(n)  # noqa: E741
-        here = np.block(
-            [
-                [C.T @ C, C.T @ D, I],
-                [D.T @ C, D.T @ D + self.weight * np.eye(m), O((m, n))],
-                [I, O((n, m + n))],
-            ]
-        )
-        before = np.block([[O((n + m, 2 * n + m))], [-A, -B, O((n, n))]])
-        N = self.samples
+        (AB, CD), N = self._model, self.samples
+        n, size = AB.shape
+        price = CD.T @ CD + self.weight * np.diag(np.arange(size) >= n)
+        here = np.block([[price, np.eye(size, n)], [np.eye(n, size), np.zeros((n, n))]])
+        before = np.zeros_like(here)
+        before[size:, :size] = -AB
         system = kron(eye_array(N), here) + kron(eye_array(N, k=-1), before)
         system = csc_array(system + kron(eye_array(N, k=1), before.T))
         # samples in turn: pivots stay near the diagonal
@@ -176,24 +168,28 @@ class NormOptimal:
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         signal = arguments.array("signal", signal, (..., self.samples, self.channels))
-        n, m = self.P.B.shape
-        right = self._solved(np.dot(signal, np.hstack([self._states[2], self.P.D])))
-        return right[..., n : n + m]
+        return self._solved(signal @ self._model[1])[..., self.P.nstates :]
 
     def apply_transposed(self, signal) -> np.ndarray:
         """The transpose of the matrix that :meth:`apply` is: P_N (P_N^T P_N + weight I)^-1."""
-        n, m = self.P.B.shape
-        signal = arguments.array("signal", signal, (..., self.samples, m))
-        solution = self._solved(np.pad(signal, [(0, 0)] * (signal.ndim - 1) + [(n, 0)]))
-        return solution[..., : n + m] @ np.hstack([self._states[2], self.P.D]).T
+        signal = arguments.array("signal", signal, (..., self.samples, self.P.ninputs))
+        return self._solved(signal, self.P.nstates) @ self._model[1].T
 
-    def _solved(self, right):
-        """The conditions of optimality, for right-hand sides (..., samples, n + m) of x, change."""
+    def _solved(self, right, first=0):
+        """x and change, (..., samples, n + m), for right-hand sides of their conditions."""
         n, m = self.P.B.shape
-        padded = np.zeros((*right.shape[:-1], 2 * n + m))
-        padded[..., : n + m] = right
-        columns = padded.reshape(-1, self.samples * (2 * n + m)).T
-        return self._factors.solve(columns).T.reshape(padded.shape)
+        whole = np.zeros((*right.shape[:-1], 2 * n + m))
+        whole[..., first : first + right.shape[-1]] = right
+        columns = whole.reshape(-1, self.samples * whole.shape[-1]).T
+        return self._factors.solve(columns).T.reshape(whole.shape)[..., : n + m]
+
+
+def regularised_inverse(P, b) -> np.ndarray:
+    """(P* P + b^2 I)^-1 P* of responses P, (n, p, m), by factors, for P may be large."""
+    p, m = P.shape[1:]
+    below = np.broadcast_to(b * np.eye(m), (len(P), m, m))
+    Q, R = np.linalg.qr(np.concatenate([P, below], axis=1))
+    return np.linalg.solve(R, Q[:, :p].conj().swapaxes(1, 2))
 
 
 @dataclass(frozen=True)
@@ -212,51 +208,42 @@ class TwoSidedFilter:
         return self.response(arguments.row("omega", omega))
 
     @cached_property
-    def _taps(self):
-        return two_sided_taps(self)
+    def finite(self) -> LearningFilter:
+        """What :meth:`apply` does, by its coefficients."""
+        return finite_filter(self)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channels)."""
-        signal = arguments.array("signal", signal, (..., "time", self.channels))
-        lags, taps = self._taps
-        samples = signal.shape[-2]
-        n = next_fast_len(samples + len(taps), real=True)
-        spectrum = rfft(taps, n, axis=0) @ rfft(signal, n, axis=-2)[..., None]
-        filtered = irfft(spectrum[..., 0], n, axis=-2)
-        return np.roll(filtered, lags[0], axis=-2)[..., :samples, :]
+        return self.finite.apply(signal)
 
 
-def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
-    """Two-sided impulse response of a learning filter, by the inverse transform of its response.
+def coefficients_of(response) -> np.ndarray:
+    """Coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
 
-    Parameters
-    ----------
-    L : LearningOperator
+    By its response at n / 2 + 1 frequencies, evenly from zero to the Nyquist frequency.
+    """
+    return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
 
-    Returns
-    -------
-    lags : ndarray of int, shape (n,)
-        From the future (below zero) to the past.
-    taps : ndarray, shape (n, channels, channels)
-        L e at p is the sum of ``taps[i] @ e[p - lags[i]]``. What is left out is below `NEGLIGIBLE`;
-        of a filter with a pole on the unit circle, or nearly, a ValueError says that it is not.
+
+def finite_filter(L: LearningOperator) -> LearningFilter:
+    """A learning filter by its coefficients, from the inverse transform of its response.
+
+    What is left out is below `NEGLIGIBLE`; of a filter with a pole on the unit circle, or nearly,
+    a ValueError says that it is not.
     """
     arguments.instance("L", L, LearningOperator)
     n = SHORTEST
     while n <= LONGEST:
         omega = rfftfreq(n, L.Ts / (2 * np.pi))
-        taps = np.fft.fftshift(irfft(L.frequency_response(omega), n, axis=0), axes=0)
-        size = np.abs(taps).max(axis=(1, 2))
-        quarter = n // 4
-        ends = max(size[:quarter].max(), size[-quarter:].max())
-        if ends <= NEGLIGIBLE * size.max():
-            lags = np.arange(-n // 2, n // 2)
-            return lags[quarter:-quarter], taps[quarter:-quarter]
+        coefficients = np.moveaxis(coefficients_of(L.frequency_response(omega)), 0, -1)
+        size, reach = np.abs(coefficients).max(axis=(0, 1)), n // 4
+        if max(size[:reach].max(), size[-reach:].max()) <= NEGLIGIBLE * size.max():
+            return LearningFilter(coefficients[..., reach:-reach], L.Ts, first=-reach)
         n *= 2
     raise ValueError(
         f"L has an impulse response that does not decay within {LONGEST // 4} samples: a pole, "
         "which for an inverse is a zero of P, is on the unit circle or next to it. Take a design "
-        "with a weight on v, such as norm_optimal"
+        "with a weight on v, such as NormOptimal"
     )
 
 
@@ -265,9 +252,8 @@ def extent(L: LearningOperator) -> tuple[int, int]:
 
     Either is below zero if the filter begins later than that.
     """
-    lags, taps = two_sided_taps(L)
-    energy = np.cumsum((taps**2).sum(axis=(1, 2)))
-    energy /= energy[-1]
-    first = np.searchsorted(energy, (1 - MOST) / 2)
-    last = np.searchsorted(energy, (1 + MOST) / 2)
-    return int(-lags[first]), int(lags[last])
+    finite = finite_filter(L)
+    energy = np.cumsum((finite.coefficients**2).sum(axis=(0, 1)))
+    share = np.array([1 - MOST, 1 + MOST]) / 2
+    first, last = finite.first + np.searchsorted(energy, share * energy[-1])
+    return int(last), int(-first)

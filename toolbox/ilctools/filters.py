@@ -12,7 +12,7 @@ begins at rest and does not end at zero.
 
 import warnings
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -32,7 +32,6 @@ LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time
 WIDTH = 14  # points of the grid that `transform` takes for a frequency: one more, a tenth the error
 FARTHEST = 10**6  # samples that a filter may look ahead or back
 LONGEST = 10**7  # samples that the response of Q may last each way
-CIRCLE = 1e-9  # distance of a point from the unit circle that is rounding
 
 
 @dataclass(frozen=True)
@@ -187,21 +186,18 @@ class LearningOperator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearningFilter:
-    """The learning filter L of (42), (44): a non-causal finite impulse response; or L = B K.
+    """The learning filter L of (42), (44): a non-causal finite impulse response.
 
     Attributes
     ----------
     coefficients : ndarray, shape (m, m, order)
-        L_ij(q) = sum_k coefficients[i, j, k - first] q^k, where q looks one sample ahead. With a
-        base that is K_ij.
+        L_ij(q) = sum_k coefficients[i, j, k - first] q^k, where q looks one sample ahead.
     Ts : float
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
         What the error is taken to be beyond the ends of the trial.
     first : int
         The lowest k: 1 in (44), which looks ahead alone; below zero the filter looks back, too.
-    base : LearningOperator, optional
-        B of L = B K; it acts on what K has made of the error within the trial.
 
     See Also
     --------
@@ -222,7 +218,6 @@ class LearningFilter:
     Ts: float
     ends: str = "zero"
     first: int = 1
-    base: LearningOperator | None = None
 
     def __post_init__(self):
         c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
@@ -231,20 +226,6 @@ class LearningFilter:
         first = arguments.whole("first", self.first, -FARTHEST, FARTHEST)
         c.flags.writeable = False
         vars(self).update(coefficients=c, Ts=Ts, first=first)
-        if self.base is not None:
-            check_learning(self.base, len(c), "base")
-
-    def __eq__(self, other):
-        return isinstance(other, LearningFilter) and self._values == other._values
-
-    def __hash__(self):
-        return hash(self._values[:-1])
-
-    @property
-    def _values(self):
-        """All that the filter is, to be compared."""
-        c = self.coefficients
-        return c.shape, c.tobytes(), self.Ts, self.ends, self.first, self.base
 
     @property
     def channels(self) -> int:
@@ -258,37 +239,28 @@ class LearningFilter:
 
     @property
     def last(self) -> int:
-        """The highest k: the samples that the filter, or K, looks ahead."""
+        """The highest k: the samples that the filter looks ahead."""
         return self.first + self.order - 1
 
     @property
     def poles(self) -> np.ndarray:
-        """Of the base its own, and one at zero for each sample that L, or K, looks away."""
-        of_taps = np.zeros(max(abs(self.first), abs(self.last)))
-        return of_taps if self.base is None else np.append(self.base.poles, of_taps)
+        """One at zero for each sample that it looks away."""
+        return np.zeros(max(abs(self.first), abs(self.last)))
 
-    @property
-    def combined(self) -> "LearningFilter":
-        """B K as one filter without a base; a ValueError if B is that of a model."""
-        if self.base is None:
-            return self
-        B = arguments.instance("base", self.base, LearningFilter)
-        taps = oaconvolve(B.coefficients[:, :, None], self.coefficients[None], axes=-1)
-        return LearningFilter(taps.sum(axis=1), self.Ts, self.ends, B.first + self.first)
+    def __matmul__(self, K: "LearningFilter") -> "LearningFilter":
+        """The filter B K, of B and another one, with the ends of that."""
+        products = oaconvolve(self.coefficients[:, :, None], K.coefficients[None], axes=-1)
+        return LearningFilter(products.sum(axis=1), K.Ts, K.ends, self.first + K.first)
 
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
-        omega = arguments.row("omega", omega)
-        angles = self.Ts * omega
+        angles = self.Ts * arguments.row("omega", omega)
         if self.order <= LONG:
             shifts = time_shifts(angles, self.order)
             response = np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
         else:
-            taps = self.coefficients.reshape(-1, self.order).T
-            response = transform(taps, angles).reshape(-1, *self.coefficients.shape[:2])
-        if self.first != 1:
-            response *= np.exp(1j * (self.first - 1) * angles)[:, None, None]
-        return response if self.base is None else self.base.frequency_response(omega) @ response
+            response = transform(self.coefficients, angles)
+        return response * np.exp(1j * (self.first - 1) * angles)[:, None, None]
 
     def __call__(self, z) -> np.ndarray:
         """L(z), laid out as python-control's systems do: the axes of `z` last.
@@ -296,7 +268,7 @@ class LearningFilter:
         Parameters
         ----------
         z : array_like, complex
-            A point or several, as ``np.exp(1j * omega * Ts)``; with a base on the unit circle.
+            A point or several, as ``np.exp(1j * omega * Ts)``.
 
         Returns
         -------
@@ -304,15 +276,8 @@ class LearningFilter:
             Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
         """
         z = arguments.array("z", z, (...,), complex)
-        if self.base is None:
-            shifts = z[..., None] ** np.arange(self.first, self.last + 1)
-            response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
-        elif np.abs(np.abs(z) - 1).max() > CIRCLE:
-            raise ValueError("z must be on the unit circle, where alone the base is known")
-        else:
-            omega = np.angle(z).ravel() / self.Ts
-            response = np.moveaxis(self.frequency_response(omega), 0, -1)
-            response = response.reshape(*response.shape[:2], *z.shape)
+        shifts = z[..., None] ** np.arange(self.first, self.last + 1)
+        response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
         return response[0, 0] if self.channels == 1 else response
 
     def apply(self, signal) -> np.ndarray:
@@ -330,14 +295,11 @@ class LearningFilter:
             taps = self.coefficients.T[::-1]  # (k, j, i), from the last
             taps = taps[(None,) * (line.ndim - 2)]
             result = oaconvolve(line[..., None], taps, mode="valid", axes=-3).sum(axis=-2)
-        result = result[..., start : start + signal.shape[-2], :]
-        return result if self.base is None else self.base.apply(result)
+        return result[..., start : start + signal.shape[-2], :]
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))
-        if self.base is not None:
-            signal = self.base.apply_transposed(signal)
         flipped = self.coefficients.swapaxes(0, 1)[..., ::-1]
         mirrored = LearningFilter(flipped, self.Ts, "zero", -self.last)
         before = max(0, -self.first)
@@ -345,42 +307,76 @@ class LearningFilter:
         return _folded(line, before, signal.shape[-2], self.ends)
 
 
+@dataclass(frozen=True)
+class Composition:
+    """L = B K: B acts on what the filter K has made of the error within the trial.
+
+    Made by ``B @ K``, unless B is a LearningFilter itself: then B K is one, too.
+    """
+
+    B: LearningOperator
+    K: LearningFilter
+
+    def __post_init__(self):
+        check_learning(self.B, self.K.channels, "B")
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.K.Ts
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return self.K.channels
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Of B its own, and those of K."""
+        return np.append(self.B.poles, self.K.poles)
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """L at `omega` (rad/s), shape (n, m, m), complex."""
+        return self.B.frequency_response(omega) @ self.K.frequency_response(omega)
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, m)."""
+        return self.B.apply(self.K.apply(signal))
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        return self.K.apply_transposed(self.B.apply_transposed(signal))
+
+
 def time_shifts(angles, order) -> np.ndarray:
     """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
-    return _shifts(np.asarray(angles, dtype=float).tobytes(), order)
-
-
-@lru_cache(maxsize=4)  # a synthesis asks again and again for the same
-def _shifts(angles, order):
     # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
     # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
-    angles = np.frombuffer(angles).astype(np.longdouble)
-    z = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
-    z.flags.writeable = False
-    return z
+    angles = np.asarray(angles, dtype=np.longdouble)
+    return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 
 
-def transform(taps, angles) -> np.ndarray:
-    """Sum over k of taps[k - 1] exp(j k angle), taps of shape (order, c): (n, c), complex.
+def transform(coefficients, angles) -> np.ndarray:
+    """Sum over k of coefficients[..., k - 1] exp(j k angle), shape (n, m, m), complex.
 
     By a fast transform onto a grid of twice the order, interpolated with the window of Kaiser and
     Bessel (Fessler and Sutton, IEEE Trans. Signal Processing 51 (2003) 560-574). The error is below
-    1e-12 times the sum of the magnitudes of the taps.
+    1e-12 times the sum of the magnitudes of the coefficients.
     """
-    order, half = len(taps), len(taps) // 2
-    grid = next_fast_len(2 * order)
+    order = coefficients.shape[-1]
+    k = np.arange(order) - order // 2
+    size = next_fast_len(2 * order)
     beta = np.pi * np.sqrt((0.75 * WIDTH) ** 2 - 0.8)  # for a grid of twice the order
-    k = np.arange(order) - half
-    root = np.sqrt(beta**2 - (np.pi * WIDTH * k / grid) ** 2)
-    values = np.zeros((grid, taps.shape[1]))
-    values[k] = taps * (root / np.sinh(root))[:, None]  # less what the window does to them
-    values = ifft(values, axis=0, norm="forward")
-    place = angles * grid / (2 * np.pi)
-    nearest = np.floor(place).astype(int)[:, None] + np.arange(1 - WIDTH // 2, 1 + WIDTH // 2)
-    off = 2 * (place[:, None] - nearest) / WIDTH
+    root = np.sqrt(beta**2 - (np.pi * WIDTH * k / size) ** 2)
+    values = np.zeros((*coefficients.shape[:-1], size))
+    values[..., k] = coefficients * root / np.sinh(root)  # less what the window does to them
+    values = ifft(values, norm="forward")
+    place = angles[:, None] * size / (2 * np.pi)
+    nearest = np.floor(place).astype(int) + np.arange(1 - WIDTH // 2, 1 + WIDTH // 2)
+    off = 2 * (place - nearest) / WIDTH
     window = i0(beta * np.sqrt(np.maximum(1 - off**2, 0))) / WIDTH
-    response = np.einsum("nl,nlc->nc", window, values[nearest % grid])
-    return np.exp(1j * (half + 1) * angles)[:, None] * response
+    response = np.einsum("nl,ijnl->nij", window, values[..., nearest % size])
+    return np.exp(1j * (order // 2 + 1) * angles)[:, None, None] * response
 
 
 def check_learning(L: LearningOperator, channels: int, name: str = "L") -> None:

@@ -8,7 +8,6 @@ import copyreg
 import reprlib
 from collections.abc import Sequence
 from functools import partial
-from os import PathLike
 
 import control
 import numpy as np
@@ -74,7 +73,7 @@ def by_substitution(T, B, C, D, z) -> np.ndarray:
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
-    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), all at once, shape (time, n).
+    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), shape (time, n).
 
     See Also
     --------
@@ -87,38 +86,13 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     >>> state_sequence(np.array([[0.5]]), np.ones((4, 1)), [0.0]).ravel()
     array([0.  , 1.  , 1.5 , 1.75])
     """
-    # A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
-    # blocks that run side by side, from zero first; that chains their initial states, from which
-    # they run again.
-    A, forcing, n = np.asarray(A), np.asarray(forcing), np.size(initial)
-    shapes = A.shape, forcing.shape[1:], np.shape(initial)
-    if shapes != ((n, n), (n,), (n,)):
-        raise ValueError(
-            f"A, forcing and initial have shapes {A.shape}, {forcing.shape} and {shapes[2]}, but "
-            "must have (n, n), (time, n) and (n,)"
-        )
-    samples = len(forcing)
-    length = int(np.ceil(np.sqrt(samples)))
-    blocks = -(-samples // length)
-    padded = np.zeros((blocks * length, n))
-    padded[:samples] = forcing
-    padded = padded.reshape(blocks, length, n)
-
-    starts, power = np.zeros((blocks, n)), np.linalg.matrix_power(A, length)
-    ends = _run(A, padded, starts)[:, -1]
-    starts[0] = initial
-    for block in range(blocks - 1):
-        starts[block + 1] = power @ starts[block] + ends[block]
-    return _run(A, padded, starts)[:, :-1].reshape(-1, n)[:samples]
-
-
-def _run(A, forcing, starts):
-    """States of several trials x(p+1) = A x(p) + f(p), shape (trial, time + 1, n)."""
-    trials, samples, n = forcing.shape
-    states = np.empty((trials, samples + 1, n))
-    states[:, 0] = starts
-    for p in range(samples):
-        states[:, p + 1] = states[:, p] @ A.T + forcing[:, p]
+    x = arguments.array("initial", initial, ("n",))
+    A = arguments.array("A", A, (len(x), len(x)))
+    forcing = arguments.array("forcing", forcing, ("time", len(x)))
+    states = np.empty_like(forcing)
+    for p, f in enumerate(forcing):
+        states[p] = x
+        x = A @ x + f
     return states
 
 
@@ -127,20 +101,7 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
 
     A mode counts as one if the smallest singular value of [lambda I - A, B], both blocks scaled to
     norm one, is below 1e-9. For unobservable modes pass A', C'.
-
-    See Also
-    --------
-    minimal_realisation : a model without them
-
-    Examples
-    --------
-    >>> from ilctools import unreachable_modes
-    >>> values, _ = unreachable_modes([[-1.0, 0.0], [0.0, -2.0]], [[1.0], [0.0]])
-    >>> values.real.round(4)
-    array([-2.])
     """
-    A = arguments.array("A", A, ("n", "n"))
-    B = arguments.array("B", B, (len(A), "inputs"))
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
     values, vectors = [], []
     for eigenvalue in np.linalg.eigvals(A):
@@ -185,7 +146,6 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
 
     See Also
     --------
-    unreachable_modes : what is left out
     current_trial_loop : what is made of the rest
 
     Examples
@@ -253,29 +213,25 @@ def _samples_on(name, P, omega):
     """Samples of python-control's frequency response data, which must be those on omega."""
     if len(P.omega) != len(omega) or not np.allclose(P.omega, omega, rtol=1e-9, atol=0):
         raise ValueError(
-            f"{name} is known at {len(P.omega)} frequencies from {P.omega[0]:.6g} to "
-            f"{P.omega[-1]:.6g} rad/s, which are not those of omega: pass omega = {name}.omega, or "
-            f"{name} = measured_response({name}), which is splined between them"
+            f"{name} is known at {len(P.omega)} frequencies, which are not those of omega: pass "
+            f"omega = {name}.omega, or measured_response({name}), splined between them"
         )
     return np.moveaxis(P.frdata, -1, 0)
 
 
 def refuse_foreign(name: str, value) -> None:
     """Refuse what stands for a model and is none of python-control's; the error says the remedy."""
-    remedy, kind = None, type(value).__name__
-    if isinstance(value, str | PathLike):
-        kind, remedy = "path", "read the file, and pass what stands in it"
-    elif isinstance(value, signal.lti | signal.dlti):
+    remedy, models = None, control.StateSpace | control.TransferFunction
+    if isinstance(value, signal.lti | signal.dlti):
         remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
     elif isinstance(value, control.NonlinearIOSystem) and not isinstance(value, control.LTI):
         remedy = f"linearise it, by control.linearize({name}, x, u)"
-    models = control.StateSpace | control.TransferFunction
-    if isinstance(value, models) and value.dt == 0:
+    elif isinstance(value, models) and value.dt == 0:
         raise ValueError(
             f"{name}.dt = 0 is continuous time: pass control.sample_system({name}, Ts)"
         )
     if remedy:
-        raise ValueError(f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}")
+        raise ValueError(f"{name} = {reprlib.repr(value)} is no linear model of control: {remedy}")
 
 
 def sampled_plant(
@@ -324,18 +280,16 @@ def balanced(A, B, C):
     return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
-def _realised(plant, called):
+def _realised(plant, name):
     """Realise each entry of a transfer function, then keep the states that all of them need."""
     outputs, inputs = plant.shape
-    for i, j in np.ndindex(outputs, inputs):
-        numerator = np.trim_zeros(arguments.row(f"{called}.num", plant.num[i][j]), "f")
-        denominator = np.trim_zeros(arguments.row(f"{called}.den", plant.den[i][j]), "f")
-        if len(numerator) > len(denominator):
-            raise ValueError(
-                f"{called} has more zeros than poles from {plant.input_labels[j]} to "
-                f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
-            )
-    entries = [control.ss(entry) for entry in control.split_tf(plant).ravel()]
+    try:
+        entries = [control.ss(entry) for entry in control.split_tf(plant).ravel()]
+    except ValueError as error:
+        raise ValueError(
+            f"{name} has more zeros than poles, and would have to look ahead, or coefficients that "
+            f"are not finite ({error}): delay it"
+        ) from None
     rows = np.repeat(np.eye(outputs), inputs, axis=0)
     columns = np.tile(np.eye(inputs), (outputs, 1))
     model = rows.T * control.append(*entries) * columns

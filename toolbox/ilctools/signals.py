@@ -89,17 +89,14 @@ def dataset(
         "channel": np.arange(1, m + 1),
     }
     variables, role_of = {}, SIGNALS | {"e": "output"}
-    names_by_role = dict(zip(ROLES, (outputs, controls, sources, sensors), strict=True))
-    for role, names in names_by_role.items():
-        members = [name for name in role_of if role_of[name] == role and name in signals]
-        if not len(names) or not members:
-            continue
+    for role, names in zip(ROLES, (outputs, controls, sources, sensors), strict=True):
         dimension = role if role in ("source", "sensor") else "channel"
         labels = [units.get(name, "") for name in names]
-        coordinates[role] = (dimension, list(names))
-        coordinates[f"{role}_unit"] = (dimension, labels)
-        axes, units_of = ("trial", "time", dimension), {"units": _unit(names, labels)}
-        variables |= {name: (axes, signals[name], units_of) for name in members}
+        for name in role_of:
+            if role_of[name] == role and name in signals and len(names):
+                coordinates |= {role: (dimension, [*names]), f"{role}_unit": (dimension, labels)}
+                attributes = {"units": _unit(names, labels)}
+                variables[name] = (("trial", "time", dimension), signals[name], attributes)
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 

@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from ilctools import arguments
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import impulse_response, sampled_plant
 from ilctools.signals import check_match
 
@@ -54,7 +54,7 @@ def trial_operators(
     """
     P = sampled_plant(P, "P")
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    m = arguments.instance("L", L, LearningFilter).channels
+    m = arguments.instance("L", L, LearningFilter | Composition).channels
     if (P.noutputs, P.ninputs) != (m, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
     check_match(P=P, L=L, Q=Q)

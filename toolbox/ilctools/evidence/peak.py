@@ -50,7 +50,7 @@ from scipy.linalg import schur
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import LONG, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import balanced, by_substitution
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import Problem, convergence_matrix
@@ -85,7 +85,7 @@ def peak_of_L(L: LearningFilter) -> tuple[float, float]:
     """Peak over all frequencies of sigma_max(L), and where it is."""
 
     def sigma(omega):
-        return largest_singular_values(in_parts(L.frequency_response, omega, 4 * L.order))
+        return largest_singular_values(in_parts(L.frequency_response, omega, 4 * LONG))
 
     return proven_peak(sigma, L.poles, L.Ts)
 
@@ -95,7 +95,7 @@ def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float
     response, poles = of_model(P)
 
     def sigma(omega):
-        of_L = in_parts(L.frequency_response, omega, 4 * L.order)  # in long doubles
+        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
         M = convergence_matrix(response(omega), Q.frequency_response(omega), of_L)
         return largest_singular_values(M)
 
@@ -162,7 +162,7 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
 
         def sigma_M(omega, k=k):
             (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
-            of_L = in_parts(L.frequency_response, omega, 4 * L.order)  # in long doubles
+            of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
             rho_L = (np.abs(Q) * radius)[:, None, None] * of_L
             return within_radius(convergence_matrix(P, Q, of_L), rho_L, level)
 

@@ -16,7 +16,7 @@ from ilctools import arguments
 from ilctools.base import RegularisedInverse
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import keep_others, read_json, regular, write_whole
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
@@ -85,21 +85,20 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 def law_notes(law: Law) -> dict:
     """A law by the keys of its file; without L where that has no coefficients."""
     Q, L = law.Q, law.L
-    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}, "L": None}
-    if isinstance(L, LearningFilter):
-        notes["L"] = {"coefficients": L.coefficients, "ends": L.ends}
-        if L.first != 1 or L.base is not None:
-            notes["L"] |= {"first": L.first, "base": L.base and _base_notes(L.base)}
-    elif L is not None:
-        del notes["L"]
+    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
+    if L is None:
+        notes["L"] = None
+    elif isinstance(L, LearningFilter | Composition):
+        B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
+        notes["L"] = {"coefficients": K.coefficients, "ends": K.ends}
+        if K.first != 1 or B is not None:
+            notes["L"] |= {"first": K.first, "base": B and _base_notes(B)}
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
     return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
 
 
 def _base_notes(base):
-    """B by its coefficients, or by the model that it is of."""
-    if isinstance(base, LearningFilter):
-        return {"taps": base.coefficients, "from": base.first}
+    """B by the model that it is of."""
     P = {name: getattr(base.P, name) for name in "ABCD"}
     return {"b": base.b, "scale": base.scale, "P": P}
 
@@ -110,16 +109,14 @@ def _law_from(notes, Ts):
     Q, L = ZeroPhaseButterworth(Ts=Ts, **notes["Q"]), notes["L"]
     if L is not None:
         L = {"base": None} | L
-        L = LearningFilter(Ts=Ts, **L | {"base": _base_from(L["base"], Ts)})
+        base = L.pop("base")
+        K = LearningFilter(Ts=Ts, **L)
+        L = K if base is None else _base_from(base, Ts) @ K
     return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
 
 
 def _base_from(notes, Ts):
     """The base that :func:`_base_notes` noted."""
-    if notes is None:
-        return None
-    if "taps" in notes:
-        return LearningFilter(notes["taps"], Ts, first=notes["from"])
     P = control.ss(*(notes["P"][name] for name in "ABCD"), Ts)
     return RegularisedInverse(**notes | {"P": P})
 
@@ -188,13 +185,13 @@ def save_law(path, law: Law, note: str = "") -> None:
     ----------
     path : path-like
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
-        shape (m, m, order), ends; if it looks back or has a base, first and base: taps and from,
-        or b, scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
+        shape (m, m, order), ends; if it looks back or has a base, first and base: null, or b,
+        scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
         gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
         the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
         Other keys, and sections that are not those of Q, are refused where it is read.
     law : Law
-        L must be a LearningFilter. The loop is not written.
+        L must be a LearningFilter, or B K of a design. The loop is not written.
     note : str
         What made it, for those who read the file.
 
@@ -212,7 +209,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     array([[[0.5]]])
     """
     path = arguments.path("path", path)
-    arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
+    arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter | Composition)
     arguments.instance("note", note, str)
     notes = law_notes(law)
     content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}

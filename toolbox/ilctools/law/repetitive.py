@@ -33,7 +33,7 @@ import numpy as np
 from scipy.signal import oaconvolve
 
 from ilctools import arguments
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 
 NEGLIGIBLE = 1e-6  # of M, at any frequency, where P is at most one: what Q's response is cut for
@@ -44,9 +44,7 @@ def finite_response(law: Law) -> np.ndarray:
 
     M is Q (I - P L): what Q loses counts as often as L is large.
     """
-    if not isinstance(law.L.base, LearningFilter | None):
-        return _cut(law.Q, NEGLIGIBLE)
-    gain = np.linalg.norm(np.abs(law.L.combined.coefficients).sum(axis=2), 2)
+    gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
     return _cut(law.Q, NEGLIGIBLE / max(1.0, gain))
 
 
@@ -62,7 +60,7 @@ def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
 
 def reach_ahead(law: Law) -> int:
     """Samples of the trial before that v needs beyond its own."""
-    return len(finite_response(law)) // 2 + max(0, law.L.combined.last)
+    return len(finite_response(law)) // 2 + max(0, law.L.last)
 
 
 def check_period(law: Law, period: int) -> None:
@@ -71,13 +69,13 @@ def check_period(law: Law, period: int) -> None:
         return
     if law.rest:
         raise ValueError(f"rest = {law.rest}, but without reset trials have no end: take rest=0")
-    arguments.instance("L", law.L, LearningFilter)
-    if not isinstance(law.L.base, LearningFilter | None):
+    if isinstance(law.L, Composition):
         raise ValueError(
             "L has the base of a model, which acts on trials with ends: for trials without reset "
-            f"synthesise with reach, {(period - len(finite_response(law)) // 2) // 2} samples "
+            f"synthesise with reach, {(period - len(_cut(law.Q, NEGLIGIBLE)) // 2) // 2} samples "
             "or fewer, or with base=None"
         )
+    arguments.instance("L", law.L, LearningFilter)
     shortest = reach_ahead(law) + 1
     if period < shortest:
         raise ValueError(
@@ -91,15 +89,14 @@ def memory(law: Law, period: int) -> float:
     """How many samples before it v may depend on."""
     if law.L is None:
         return np.inf
-    return period + len(finite_response(law)) + max(0, -law.L.combined.first)
+    return period + len(finite_response(law)) + max(0, -law.L.first)
 
 
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
     """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
     h = finite_response(law)
-    L = law.L.combined
     reach, first = len(h) // 2, max(0, start - memory(law, period))
-    x = v[first:] + L.apply(e[first:])
+    x = v[first:] + law.L.apply(e[first:])
     x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)
     x = x[before.start - first : before.stop - first + 2 * reach]

@@ -105,7 +105,7 @@ def with_base(problem: Problem, share: float | str, reach: int | None = None) ->
     exact = reach is None and None not in models
     if exact and pooled:
         exact = sum(P.nstates for P in models) <= STATES
-    base = base_of_models(models, b, problem.scale, problem.structure) if exact else None
+    base = base_of_models(models, b, problem.structure) if exact else None
     if base is None and (pooled or not exact):
         base = base_of_samples(response, problem.lowpass, b, reach, len(models), problem.structure)
     if base is None:

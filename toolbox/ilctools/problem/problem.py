@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ilctools.base import RegularisedInverse, in_units
-from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
+from ilctools.base import RegularisedInverse
+from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem import defaults
 from ilctools.problem.lowpass import SampledQ
@@ -36,7 +36,7 @@ class Problem:
     lowpass: ZeroPhaseButterworth | SampledQ
     Q: np.ndarray  # (n,): its response at the frequencies; zero where L alone is bounded
     order: int = 1  # number of samples that the learning filter looks ahead, or of those of K
-    base: LearningOperator | None = None  # B of L = B K, in the plant's units
+    base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
     M_max: float = 0.9  # bound on sigma_max(M)
     L_max: float | None = None  # bound on sigma_max(L)
     structure: str = "full"  # or "diagonal"
@@ -170,8 +170,7 @@ class Problem:
         if self.base is None:
             return None
         shift = np.exp(1j * (self.first - 1) * self.omega * self.Ts)
-        units = self.scale / self.scale[:, None]
-        return self.base.frequency_response(self.omega) * shift[:, None, None] * units
+        return self.base.frequency_response(self.omega) * shift[:, None, None]
 
     @cached_property
     def sigma_B(self) -> np.ndarray:
@@ -209,22 +208,17 @@ class Problem:
             return ()
         return (Finding("unmeasured", Q, M_max, f"above {last:.4g} rad/s"),)
 
-    def filter(self, coefficients) -> LearningFilter:
-        """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
-        units = self.scale[:, None, None] / self.scale[None, :, None]
+    def filter(self, coefficients) -> LearningFilter | Composition:
+        """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
         # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
-        return LearningFilter(coefficients * units, self.Ts, ends, self.first, self.base)
+        K = LearningFilter(coefficients, self.Ts, ends, self.first)
+        return K if self.base is None else self.base @ K
 
     @property
     def poles_of_L(self) -> np.ndarray:
         """Those of each filter of this order, see :mod:`.evidence.peak`."""
         return self.filter(np.zeros((self.channels, self.channels, self.order))).poles
-
-    def learned(self, solution: "Solution") -> LearningFilter:
-        """The filter of a solution, in units of `scale`."""
-        base = self.base and in_units(self.base, self.scale)
-        return LearningFilter(solution.coefficients, self.Ts, first=self.first, base=base)
 
     def K(self, solution: "Solution") -> np.ndarray:
         """Response of K / z^(first - 1), or of L without a base, at omega, (n, m, m)."""

@@ -71,7 +71,7 @@ class Synthesis:
 
     @property
     def L(self) -> control.FrequencyResponseData:
-        """L at `omega`; at any z, in the plant's units, ``filter(z)``."""
+        """L at `omega`; of others, in the plant's units, ask `filter`."""
         return self._frd("L", self._response_of_L())
 
     @property
@@ -162,7 +162,7 @@ class Synthesis:
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
         check_match(design=design.response.signals, P=problem.response.signals)
-        L = design.learned(self.solution)
+        L = design.filter(self.solution.coefficients)
         return on_one_thread(check)(problem, L).convergence
 
     def __repr__(self):
