@@ -141,16 +141,21 @@ def labelled_as(value, signal, names):
     return value.copy(data=signal.reshape(value.shape))
 
 
+def check_times(name: str, times, Ts: float) -> None:
+    """Refuse a signal whose times are not Ts apart."""
+    steps = np.diff(times)
+    if not np.allclose(steps, Ts, rtol=0, atol=LATE * Ts):
+        raise ValueError(
+            f"{name} has times with steps from {steps.min():.6g} to {steps.max():.6g} s, but "
+            f"Ts is {Ts:.6g} s: correct Ts, or resample it"
+        )
+
+
 def each_trial(name, signal, trials, samples, names, Ts):
     """A signal of all trials, or of each, with the trial as the first axis."""
     times = getattr(signal, "index" if hasattr(signal, "columns") else "time", None)
     if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
-        steps = np.diff(times)
-        if not np.allclose(steps, Ts, rtol=0, atol=LATE * Ts):
-            raise ValueError(
-                f"{name} has times with steps from {steps.min():.6g} to {steps.max():.6g} s, but "
-                f"Ts is {Ts:.6g} s: resample it"
-            )
+        check_times(name, times, Ts)
     signal = in_columns(name, signal, (...,), names)
     shape = (samples, len(names))
     if signal.ndim > 2:

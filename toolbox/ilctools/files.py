@@ -49,9 +49,8 @@ def folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        ways = (path, *path.parents)
-        file = next(way for way in ways if os.path.lexists(way) and not way.is_dir())
-        raise NotADirectoryError(f"{file} must be a folder: remove what is there") from None
+        message = f"{path} must be a folder: remove the file that is in its way"
+        raise NotADirectoryError(message) from None
     return path
 
 

@@ -41,7 +41,7 @@ def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
     (tmp_path / "astray").symlink_to(tmp_path / "nowhere")
     for name in ("file", "astray"):
         for path in (tmp_path / name, tmp_path / name / "below" / "deeper"):
-            with pytest.raises(NotADirectoryError, match=rf"{tmp_path / name} must be a folder"):
+            with pytest.raises(NotADirectoryError, match=f"{path} must be a folder"):
                 folder(path)
 
 

@@ -78,7 +78,7 @@ REFUSED = {  # what the error names, and a call
     ),
     "Q in one direction": ("Q turns the phase .* one direction", lambda: design(Q=CAUSAL)),
     "a model as Q": ("Q = .* one direction", lambda: design(Q=CAUSAL_MODEL)),
-    "a path as P": ("P = 'rod.csv' is a path", lambda: design("rod.csv")),
+    "a path as P": ("P holds values of type <U7", lambda: design("rod.csv")),
     "scipy's model as P": ("(?s)P = .*to_ss", lambda: design(SCIPY_MODEL)),
     "scipy's model as a plant": ("plant = ", lambda: current_trial_loop(SCIPY_MODEL)),
     "a nonlinear plant": ("(?s)plant = .*linearize", lambda: current_trial_loop(NONLINEAR)),
@@ -119,7 +119,7 @@ REFUSED = {  # what the error names, and a call
     "names in another order": ("P.labels", lambda: ClosedLoop(axes(), outputs=["y", "x"])),
     "another unit, to check": (r"P.units\['x'\] = 'mm'", lambda: OF_AXES.check(IN_MM)),
     "a time that contradicts Ts": (
-        "trials.time has steps from 0.5 to 0.5 s, but .* is 1 s",
+        "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s",
         lambda: transfer(LOG.assign_coords(time=0.5 * LOG.time), MOVE),
     ),
     "more outputs than inputs, a model": (
