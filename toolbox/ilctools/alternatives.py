@@ -1,9 +1,9 @@
 """Other learning filters than the paper's, for the same law (23).
 
 What a design returns is a :class:`ilctools.filters.LearningOperator`, as a
-:class:`ilctools.LearningFilter` is: it goes where L goes. Most of them reach far into the past and
-the future at once. None needs a recursion of its own: between two trials the whole last trial is
-known, and a filter that is known by its frequency response acts by the fast transform.
+:class:`ilctools.LearningFilter` is: it goes where L goes. None needs a recursion of its own:
+between two trials the whole last trial is known, and a filter that is known by its response has
+the coefficients of the inverse transform, however far it reaches into the past and the future.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,7 @@ def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> 
     return LearningFilter(identity[..., None] * coefficients, Ts)
 
 
-def gradient(P: control.StateSpace, step: float) -> "TwoSidedFilter":
+def gradient(P: control.StateSpace, step: float) -> LearningFilter:
     """L = step P^*, the adjoint of P: the plant with its time reversed, step P_N^T on N samples.
 
     v moves against the gradient of ||e||^2 / 2, which is -P^* e. Without Q the rate is
@@ -73,7 +73,7 @@ def gradient(P: control.StateSpace, step: float) -> "TwoSidedFilter":
     def response(omega):
         return step * frequency_response(P, omega).conj().swapaxes(1, 2)
 
-    return TwoSidedFilter(response, P.noutputs, P.dt)
+    return finite_filter(response, P.dt)
 
 
 @dataclass(frozen=True)
@@ -192,31 +192,6 @@ def regularised_inverse(P, b) -> np.ndarray:
     return np.linalg.solve(R, Q[:, :p].conj().swapaxes(1, 2))
 
 
-@dataclass(frozen=True)
-class TwoSidedFilter:
-    """A learning filter for a :class:`Law`, for signals that are zero outside the trial."""
-
-    response: Callable  # from omega (rad/s), (n,), to L, (n, channels, channels)
-    channels: int
-    Ts: float  # s
-
-    def __post_init__(self):
-        arguments.instance("response", self.response, Callable)
-
-    def frequency_response(self, omega) -> np.ndarray:
-        """L at `omega` (rad/s), shape (n, channels, channels), complex."""
-        return self.response(arguments.row("omega", omega))
-
-    @cached_property
-    def finite(self) -> LearningFilter:
-        """What :meth:`apply` does, by its coefficients."""
-        return finite_filter(self)
-
-    def apply(self, signal) -> np.ndarray:
-        """Filter a signal of shape (..., time, channels)."""
-        return self.finite.apply(signal)
-
-
 def coefficients_of(response) -> np.ndarray:
     """Coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
 
@@ -225,20 +200,31 @@ def coefficients_of(response) -> np.ndarray:
     return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
 
 
-def finite_filter(L: LearningOperator) -> LearningFilter:
-    """A learning filter by its coefficients, from the inverse transform of its response.
+def finite_filter(response: Callable, Ts: float) -> LearningFilter:
+    """A learning filter by its response, which reaches into the past and the future at once.
 
-    What is left out is below `NEGLIGIBLE`; of a filter with a pole on the unit circle, or nearly,
-    a ValueError says that it is not.
+    Parameters
+    ----------
+    response : callable
+        From omega (rad/s), shape (n,), to L, shape (n, m, m).
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    LearningFilter
+        What is left out of its coefficients is below `NEGLIGIBLE`; if they do not decay, as of a
+        pole on the unit circle, or nearly, a ValueError says so.
     """
-    arguments.instance("L", L, LearningOperator)
+    arguments.instance("response", response, Callable)
+    Ts = arguments.sampling_period("Ts", Ts)
     n = SHORTEST
     while n <= LONGEST:
-        omega = rfftfreq(n, L.Ts / (2 * np.pi))
-        coefficients = np.moveaxis(coefficients_of(L.frequency_response(omega)), 0, -1)
+        omega = rfftfreq(n, Ts / (2 * np.pi))
+        coefficients = np.moveaxis(coefficients_of(response(omega)), 0, -1)
         size, reach = np.abs(coefficients).max(axis=(0, 1)), n // 4
         if max(size[:reach].max(), size[-reach:].max()) <= NEGLIGIBLE * size.max():
-            return LearningFilter(coefficients[..., reach:-reach], L.Ts, first=-reach)
+            return LearningFilter(coefficients[..., reach:-reach], Ts, first=-reach)
         n *= 2
     raise ValueError(
         f"L has an impulse response that does not decay within {LONGEST // 4} samples: a pole, "
@@ -252,7 +238,8 @@ def extent(L: LearningOperator) -> tuple[int, int]:
 
     Either is below zero if the filter begins later than that.
     """
-    finite = finite_filter(L)
+    arguments.instance("L", L, LearningOperator)
+    finite = finite_filter(L.frequency_response, L.Ts)
     energy = np.cumsum((finite.coefficients**2).sum(axis=(0, 1)))
     share = np.array([1 - MOST, 1 + MOST]) / 2
     first, last = finite.first + np.searchsorted(energy, share * energy[-1])

@@ -10,7 +10,6 @@ from plants import complex_normal
 from scipy.optimize import minimize_scalar
 
 from ilctools import LearningFilter, worst_case
-from ilctools.alternatives import TwoSidedFilter
 from ilctools.problem.pose import pose
 
 sizes = st.integers(1, 3)
@@ -101,7 +100,7 @@ def test_the_bound_is_attained_where_two_directions_are_amplified_equally():
     radius = np.array([0.5, 0.9, 1.0, 1.1])
     response = replace(problem.response, P=P[None], radius=radius)
     problem = replace(problem, response=response, Q=np.ones(4))
-    worst = worst_case(problem, TwoSidedFilter(lambda omega: L, 2, problem.Ts))
+    worst = worst_case(problem, LearningFilter(np.diag([0.3, 0.9])[..., None], problem.Ts, first=0))
     angle = np.linspace(0, np.pi / 2, 100_001)
     x = np.stack([np.cos(angle), np.sin(angle)])
     of_M, of_L = np.linalg.norm(M @ x, axis=0), np.linalg.norm(L[0] @ x, axis=0)
