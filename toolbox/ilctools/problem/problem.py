@@ -190,7 +190,7 @@ class Problem:
             last = np.abs(self.lowpass.samples[-1])
             more.append(f"assumed: Q is splined between its samples, and {last:.4g} above the last")
         if lost.any():
-            low, *_, high = np.repeat(design.omega[lost], 2)
+            low, high = design.omega[lost][[0, -1]]
             more.append(
                 f"nothing can be learned at {lost.sum()} frequencies from {low:.4g} to {high:.4g} "
                 "rad/s, where the uncertainty ball contains singular plants; |Q|, below which "
