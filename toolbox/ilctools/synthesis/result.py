@@ -9,7 +9,7 @@ import numpy as np
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
-from ilctools.filters import LearningFilter
+from ilctools.filters import Composition, LearningFilter
 from ilctools.law.law import Law, Region
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
@@ -22,7 +22,7 @@ from ilctools.threads import on_one_thread
 class Synthesis:
     """A learning filter and what was checked about it, from singular values."""
 
-    filter: LearningFilter
+    filter: LearningFilter | Composition
     problem: Problem  # as stated
     certificate: Certificate  # of optimality and bounds, independent of the solver
     sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
