@@ -348,6 +348,9 @@ class Composition:
         return self.K.apply_transposed(self.B.apply_transposed(signal))
 
 
+Filter = LearningFilter | Composition  # has a transpose, and can be noted as JSON
+
+
 def time_shifts(angles, order) -> np.ndarray:
     """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
     # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has

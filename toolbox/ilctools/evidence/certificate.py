@@ -358,4 +358,4 @@ def check(problem: Problem, L: LearningFilter) -> Certificate:
 def certify(problem: Problem, solution: Solution) -> Certificate:
     """Find out what is true of a filter; nothing of the solution is trusted."""
     bound = lower_bound(problem, solution.U, solution.V, solution.cuts)
-    return replace(check(problem, problem.filter(solution.coefficients)), lower_bound=bound)
+    return replace(check(problem, problem.learned(solution)), lower_bound=bound)

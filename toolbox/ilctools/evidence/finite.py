@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from ilctools import arguments
-from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import Filter, ZeroPhaseButterworth
 from ilctools.models import impulse_response, sampled_plant
 from ilctools.signals import check_match
 
@@ -18,7 +18,7 @@ LANCZOS = 30  # vectors that the Lanczos iteration keeps
 
 
 def trial_operators(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: Filter, samples: int
 ) -> tuple[sparse.LinearOperator, sparse.LinearOperator, sparse.LinearOperator]:
     """P, Q and L as they act on a trial of finite length, each with its adjoint.
 
@@ -54,7 +54,7 @@ def trial_operators(
     """
     P = sampled_plant(P, "P")
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    m = arguments.instance("L", L, LearningFilter | Composition).channels
+    m = arguments.instance("L", L, Filter).channels
     if (P.noutputs, P.ninputs) != (m, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
     check_match(P=P, L=L, Q=Q)
@@ -71,7 +71,7 @@ def trial_operators(
 
 
 def trial_map(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int, rest: int = 0
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int = 0
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 
@@ -107,7 +107,7 @@ def trial_map(
 def trial_norm(
     P: control.StateSpace,
     Q: ZeroPhaseButterworth,
-    L: LearningFilter,
+    L: Filter,
     samples: int,
     trials: int = 1,
     rest: int = 0,

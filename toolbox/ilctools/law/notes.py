@@ -16,7 +16,7 @@ from ilctools import arguments
 from ilctools.base import RegularisedInverse
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import keep_others, read_json, regular, write_whole
-from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
@@ -88,19 +88,14 @@ def law_notes(law: Law) -> dict:
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
     if L is None:
         notes["L"] = None
-    elif isinstance(L, LearningFilter | Composition):
+    elif isinstance(L, Filter):
         B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
         notes["L"] = {"coefficients": K.coefficients, "ends": K.ends}
         if K.first != 1 or B is not None:
-            notes["L"] |= {"first": K.first, "base": B and _base_notes(B)}
+            base = B and {"b": B.b, "scale": B.scale, "P": B.P}
+            notes["L"] |= {"first": K.first, "base": base}
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
     return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
-
-
-def _base_notes(base):
-    """B by the model that it is of."""
-    P = {name: getattr(base.P, name) for name in "ABCD"}
-    return {"b": base.b, "scale": base.scale, "P": P}
 
 
 def _law_from(notes, Ts):
@@ -110,15 +105,10 @@ def _law_from(notes, Ts):
     if L is not None:
         L = {"base": None} | L
         base = L.pop("base")
-        K = LearningFilter(Ts=Ts, **L)
-        L = K if base is None else _base_from(base, Ts) @ K
+        L = LearningFilter(Ts=Ts, **L)
+        if base is not None:
+            L = RegularisedInverse(**base | {"P": model_from(base["P"])}) @ L
     return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
-
-
-def _base_from(notes, Ts):
-    """The base that :func:`_base_notes` noted."""
-    P = control.ss(*(notes["P"][name] for name in "ABCD"), Ts)
-    return RegularisedInverse(**notes | {"P": P})
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
@@ -209,7 +199,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     array([[[0.5]]])
     """
     path = arguments.path("path", path)
-    arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter | Composition)
+    arguments.instance("L", arguments.instance("law", law, Law).L, Filter)
     arguments.instance("note", note, str)
     notes = law_notes(law)
     content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}

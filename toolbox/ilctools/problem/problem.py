@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ilctools.base import RegularisedInverse
-from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
+from ilctools.base import RegularisedInverse, in_units
+from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem import defaults
 from ilctools.problem.lowpass import SampledQ
@@ -208,17 +208,25 @@ class Problem:
             return ()
         return (Finding("unmeasured", Q, M_max, f"above {last:.4g} rad/s"),)
 
-    def filter(self, coefficients) -> LearningFilter | Composition:
+    def scaled_filter(self, coefficients) -> Filter:
         """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
         # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
         K = LearningFilter(coefficients, self.Ts, ends, self.first)
         return K if self.base is None else self.base @ K
 
+    def filter(self, coefficients) -> Filter:
+        """The same in the plant's own units."""
+        return in_units(self.scaled_filter(coefficients), self.scale)
+
+    def learned(self, solution: "Solution") -> Filter:
+        """The filter of a solution, in units of `scale`."""
+        return self.scaled_filter(solution.coefficients)
+
     @property
     def poles_of_L(self) -> np.ndarray:
         """Those of each filter of this order, see :mod:`.evidence.peak`."""
-        return self.filter(np.zeros((self.channels, self.channels, self.order))).poles
+        return self.scaled_filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def K(self, solution: "Solution") -> np.ndarray:
         """Response of K / z^(first - 1), or of L without a base, at omega, (n, m, m)."""

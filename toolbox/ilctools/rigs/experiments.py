@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.filters import Composition, LearningFilter
+from ilctools.filters import Filter
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, NO_RESET, RESET, with_law
 from ilctools.law.repetitive import check_period
@@ -144,7 +144,7 @@ def record(
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     if path is not None and law.L is not None:
-        arguments.instance("L", law.L, LearningFilter | Composition)  # or the log could not note it
+        arguments.instance("L", law.L, Filter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
     goes_on = not arguments.flag("reset", reset)
     reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
-from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.evidence.finite import trial_norm
@@ -263,7 +262,7 @@ def direct(problem: Problem) -> Synthesis | None:
     problem, one = replace(problem, order=1), np.eye(problem.channels)
     zero = np.zeros((len(problem.omega), *one.shape))
     solution = Solution(one[..., None], zero, zero, largest=np.nan, iterations=0)
-    certificate = check(problem, problem.filter(solution.coefficients))
+    certificate = check(problem, problem.learned(solution))
     beyond = certificate.beyond
     if certificate.failures or (beyond and beyond.sigma > problem.M_max):
         return None
@@ -314,7 +313,7 @@ def result(problem, stated, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
     L = stated.L(solution)
     return Synthesis(
-        in_units(problem.filter(solution.coefficients), problem.scale),
+        problem.filter(solution.coefficients),
         stated,
         certificate,
         largest_singular_values(stated.M(L)),

@@ -9,7 +9,7 @@ import numpy as np
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
-from ilctools.filters import Composition, LearningFilter
+from ilctools.filters import Filter
 from ilctools.law.law import Law, Region
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
@@ -22,7 +22,7 @@ from ilctools.threads import on_one_thread
 class Synthesis:
     """A learning filter and what was checked about it, from singular values."""
 
-    filter: LearningFilter | Composition
+    filter: Filter
     problem: Problem  # as stated
     certificate: Certificate  # of optimality and bounds, independent of the solver
     sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
@@ -162,7 +162,7 @@ class Synthesis:
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
         check_match(design=design.response.signals, P=problem.response.signals)
-        L = design.filter(self.solution.coefficients)
+        L = design.learned(self.solution)
         return on_one_thread(check)(problem, L).convergence
 
     def __repr__(self):
