@@ -331,6 +331,11 @@ class Composition:
         return self.K.channels
 
     @property
+    def order(self) -> int:
+        """Samples of K."""
+        return self.K.order
+
+    @property
     def poles(self) -> np.ndarray:
         """Of B its own, and those of K."""
         return np.append(self.B.poles, self.K.poles)

@@ -55,7 +55,8 @@ class Signals:
     def of_plant(cls, plant, Ts: float) -> "Signals":
         """Labels and units of a plant in any form; an array has none, and the period Ts."""
         plant = getattr(plant, "loop", plant)  # of a measured response
-        return cls(Ts, units=getattr(plant, "units", {}), labels=_labels_of(plant))
+        Ts, units = getattr(plant, "Ts", Ts), getattr(plant, "units", {})
+        return cls(Ts, units=units, labels=_labels_of(plant))
 
 
 def period_of(trials) -> float:

@@ -11,14 +11,19 @@ def tied(values):
 
 
 def largest_singular_values(G):
-    """Largest singular value of each matrix, below 1e150, shape (n, p, m) to (n,)."""
+    """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
     if min(G.shape[1:]) > 2:
         return np.linalg.norm(G, 2, axis=(1, 2))
     # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
     G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
+    # A power of two as unit: no square leaves the doubles, and nothing is rounded.
+    _, exponent = np.frexp(np.abs(G).max(axis=(1, 2)))
+    unit = np.ldexp(1.0, exponent.clip(-1000, 1000))
+    G = G * (1 / unit)[:, None, None]
     power = (G.real**2 + G.imag**2).sum(axis=2)
+    total = power.sum(axis=1)
     if G.shape[1] == 1:
-        return np.sqrt(power[:, 0])
+        return unit * np.sqrt(total)
     coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
     apart = np.hypot((power[:, 0] - power[:, 1]) / 2, coupling)
-    return np.sqrt(power.sum(axis=1) / 2 + apart)
+    return unit * np.sqrt(total / 2 + apart)

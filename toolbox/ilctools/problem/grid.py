@@ -12,6 +12,7 @@ import numpy as np
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.problem import Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
+from ilctools.singular_values import largest_singular_values
 
 # h, with a proof and else: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
 PROVEN, ESTIMATED = 0.01, 0.05
@@ -29,21 +30,24 @@ def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
     response, of_L, everywhere = problem.response, problem.poles_of_L, problem.everywhere
     ends = np.concatenate([[0], response.angles, [np.pi]])
     coarse = np.diff(phase(of_L, ends)).max() > COARSE and problem.L_max is not None
+    stated, last = problem.omega, problem.omega[-1]
     if not (everywhere or coarse or response.beyond is not None):
-        return problem, np.ones(len(problem.omega), bool)
+        return problem, np.ones(len(stated), bool)
     theta, h = _dense(problem)
-    omega, last, lower = theta / problem.Ts, problem.omega[-1], np.cos(h / 2)
-    if everywhere and not problem.proven:
-        omega = np.union1d(omega, subdivided(problem.omega, DENSER))
-    if not (everywhere or coarse):
-        omega = np.append(np.nextafter(last, np.inf), omega[omega > last])
-    grid = replace(
-        problem,
-        M_max=problem.M_max * (lower if everywhere else 1),
-        L_max=problem.L_max and problem.L_max * (lower if everywhere or coarse else 1),
-        stated=problem,
-    )
-    return _extended(grid, np.setdiff1d(omega, problem.omega), lower)
+    lower, grid = np.cos(h / 2), replace(problem, stated=problem)
+    if everywhere:
+        grid = replace(grid, M_max=problem.M_max * lower)
+    if everywhere or coarse:
+        grid = replace(grid, L_max=problem.L_max and problem.L_max * lower)
+        denser = stated if problem.proven or not everywhere else subdivided(stated, DENSER)
+        omega = np.setdiff1d(np.append(theta / problem.Ts, denser), stated)
+        if response.beyond is not None:
+            omega = omega[omega < last]
+        grid = _joined(grid, omega, *_between(grid, omega))
+    if response.beyond is not None:
+        omega = np.append(np.nextafter(last, np.inf), theta[theta / problem.Ts > last] / problem.Ts)
+        grid = _joined(grid, omega, *_above(grid, omega, lower))
+    return grid, np.isin(grid.omega, stated)
 
 
 def _dense(problem):
@@ -59,43 +63,49 @@ def _dense(problem):
     return theta, np.max([np.diff(phase(poles, theta)).max() for poles in systems])
 
 
-def _extended(problem, omega, lower):
-    """The problem at further frequencies, and which of all were stated."""
-    design = problem.design
-    response, last = design.response, design.omega[-1]
+def _between(problem, omega):
+    """P, Q and the radius between the frequencies; Q is zero where L alone is bounded."""
+    response = problem.design.response
     known = [response.anywhere(k, omega) for k in range(len(response.models))]
     P, radius = np.array([P for P, _ in known]), np.max([radius for _, radius in known], axis=0)
-    Q, above = design.lowpass.frequency_response(omega), omega > last
-    bounded = (omega >= design.omega[0]) & ~above | (not response.sampled)
-    bounded &= problem.everywhere
-    if response.beyond is not None:
-        # M must keep its bound between these, too: Q falls, and L is larger by 1 / lower
-        before = np.append(last, omega[above][:-1])
-        Q[above] = np.abs(design.lowpass.frequency_response(before))
-        size = np.linalg.norm(P[:, above], 2, axis=(2, 3)).max(axis=0)
-        radius[above] = np.maximum(radius[above], size) / lower
-        P[:, above] = 0
-        bounded |= above & (problem.M_max > Q)  # else no filter does: see `findings`
+    inside = (omega >= response.omega[0]) & (omega <= response.omega[-1])
+    bounded = problem.everywhere & (inside | (not response.sampled))
+    Q = problem.lowpass.frequency_response(omega)
+    return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
+
+
+def _above(problem, omega, lower):
+    """The same above the last sample, where P is zero with a radius, its size there."""
+    response = problem.design.response
+    # M must keep its bound between these, too: Q falls, and L is larger by 1 / lower
+    before = np.append(response.omega[-1], omega[:-1])
+    Q = np.abs(problem.lowpass.frequency_response(before))
+    models = [k for k, model in enumerate(response.models) if model is not None]
+    sizes = [largest_singular_values(response.anywhere(k, omega)[0]) for k in models]
+    radius = np.max([response.beyond + 0 * omega, *sizes], axis=0) / lower
+    bounded = problem.M_max > Q  # else no filter does: see `findings`
+    P = np.zeros((len(response.P), len(omega), *response.P.shape[2:]))
+    return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
+
+
+def _joined(problem, omega, P, Q, radius):
+    """The problem at further frequencies, too, none of which counts in the objective."""
+    response = problem.response
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
-    def merged(stated, added, axis=0):
-        return np.concatenate([stated, added], axis).take(order, axis)
+    def joined(own, further, axis=0):
+        return np.concatenate([own, further], axis).take(order, axis)
 
     zero = np.zeros(len(problem.omega))
-    stated = zero if response.radius is None else response.radius
-    radius = merged(stated, np.where(bounded, radius, 0))
-    grid = replace(
-        problem,
-        response=replace(
-            response,
-            omega=merged(problem.omega, omega),
-            P=merged(response.P, P, axis=1),
-            radius=radius if radius.any() else None,
-        ),
-        Q=merged(problem.Q, np.where(bounded, Q, 0)),
-        weights=merged(problem.weights, 0 * omega),
+    radius = joined(zero if response.radius is None else response.radius, radius)
+    response = replace(
+        response,
+        omega=joined(response.omega, omega),
+        P=joined(response.P, P, axis=1),
+        radius=radius if radius.any() else None,
     )
-    return grid, merged(zero, 0 * omega + 1) == 0
+    weights = joined(problem.weights, 0 * omega)
+    return replace(problem, response=response, Q=joined(problem.Q, Q), weights=weights)
 
 
 def part(problem: Problem, chosen) -> Problem:

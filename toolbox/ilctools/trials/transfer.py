@@ -227,7 +227,7 @@ class _Fits:
         """Sums of squares of t - Phi f, within and between trials, each block by its own f."""
         one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
         R = np.concatenate([-f, one], axis=1)  # from (Phi, t) to t - Phi f
-        return np.sum(R * (self.products @ R), axis=(1, 2))
+        return np.maximum(0, np.sum(R * (self.products @ R), axis=(1, 2)))  # of rounding
 
     def likelihood(self, rho, static, weight):
         """Logarithm of the likelihood of each output in blocks that were left out of the fit."""

@@ -81,9 +81,9 @@ def test_where_nothing_can_be_learned_is_named():
     for factor in (0.5, 2.0):
         many = pose([P, factor * P], Q, omega, 1.0, uncertainty=np.full(100, 0.01))
         np.testing.assert_array_equal(many.unusable, min(factor, 1) * smallest <= 0.01)
-    with pytest.raises(InfeasibleError, match="P is not known well enough") as caught:
+    with pytest.raises(InfeasibleError, match="nothing can be learned at") as caught:
         synthesise(Estimate(P, 0.5), Q, omega, 1.0, **paper_choices())
-    here = (smallest <= 0.5) & (np.abs(Q.frequency_response(omega)) > 0.9)
+    here = smallest <= 0.5
     assert f"{here.sum()} frequencies from {omega[here][0]:.4g}" in str(caught.value)
     # a singular plant is within the radius: no filter makes M smaller than Q for it
     largest = np.abs(Q.frequency_response(omega))[here].max()
