@@ -148,7 +148,7 @@ def base_of_models(models, b, structure) -> RegularisedInverse | None:
         m = models[0].ninputs
         P = control.append(*models) * isometry(len(models), m)
         base = RegularisedInverse(P, b, np.ones(m))
-        return base if len(base.poles) else None
+        return base if len(base.poles) else None  # which rounding may decide
     except (np.linalg.LinAlgError, ValueError):
         return None
 
@@ -165,9 +165,8 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
     P = np.array([_faded(response, k, lowpass.cutoff, omega) for k in range(count)])
     if structure == "diagonal":
         P = P * np.eye(P.shape[-1])
-    counts = np.abs(lowpass.frequency_response(omega)) * np.max(
-        [*map(largest_singular_values, P)], axis=0
-    )
+    size = np.max([*map(largest_singular_values, P)], axis=0)
+    counts = np.abs(lowpass.frequency_response(omega)) * size
     farthest = reach or FARTHEST
     if response.models[0] is None:  # lines that are so far apart show no longer response
         first = response.omega[response.omega > 0][0]

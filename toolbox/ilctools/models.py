@@ -51,10 +51,10 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
 
 def _response(system, points):
     """C (sI - A)^-1 B + D at points s of the complex plane."""
-    left = points[:, None, None] * np.eye(system.nstates)
-    left -= system.A  # in place: there may be hundreds of states
+    pencils = points[:, None, None] * np.eye(system.nstates)
+    pencils -= system.A  # in place: there may be hundreds of states
     try:
-        return system.C @ np.linalg.solve(left, system.B.astype(complex)) + system.D
+        return system.C @ np.linalg.solve(pencils, system.B.astype(complex)) + system.D
     except LinAlgError:
         raise ValueError(
             "omega has the frequency of a pole: the system has no response there"
@@ -214,7 +214,7 @@ def _samples_on(name, P, omega):
     if len(P.omega) != len(omega) or not np.allclose(P.omega, omega, rtol=1e-9, atol=0):
         raise ValueError(
             f"{name} is known at {len(P.omega)} frequencies, which are not those of omega: pass "
-            f"omega = {name}.omega, or measured_response({name}), splined between them"
+            f"omega = {name}.omega, or {name} = measured_response({name}), splined between them"
         )
     return np.moveaxis(P.frdata, -1, 0)
 

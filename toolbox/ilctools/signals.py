@@ -111,10 +111,10 @@ def check_match(**parties) -> None:
     :class:`Signals`, ... Of their periods, channels, names and units those are compared that two
     parties have. An empty unit is not known, and fits all others.
     """
-    known = {}
+    compared = {}
     for whose, party in parties.items():
         for part, (value, words) in _parts(whose, party).items():
-            first, first_words = known.setdefault(part, (value, words))
+            first, first_words = compared.setdefault(part, (value, words))
             number = isinstance(value, float)  # a period, which may be rounded
             if not (isclose(value, first, rel_tol=1e-12) if number else value == first):
                 raise ValueError(

@@ -167,7 +167,7 @@ def synthesise(
     >>> from ilctools import synthesise, zero_phase_butterworth
     >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
     >>> design = synthesise(P, zero_phase_butterworth(2, 40.0, 0.01))
-    >>> round(float(design.sigma_M.max()), 2), design.filter.order
+    >>> round(float(design.sigma_M.max()), 2), design.problem.order
     (0.01, 1)
     >>> law = design.law()
     """
