@@ -217,9 +217,9 @@ class Certificate:
     def __repr__(self):
         near = self.problem.omega[self.worst.sigma >= 0.99 * self.rate]
         at = near.min() if near.size else self.highest_peak.omega
-        where = "proven" if self.proven else f"{_span(self.problem.design.omega)}, estimated"
+        where = ", proven" if self.proven else f" {_span(self.problem.design.omega)}, estimated"
         lines = [
-            f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies, {where}; largest "
+            f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies{where}; largest "
             f"near {float(f'{at:.2g}'):g} rad/s",
             self._reached(),
         ]
@@ -300,8 +300,8 @@ class Certificate:
         """The worst of several plants, and what is known of M between the design frequencies."""
         problem, omega, lines = self.problem, self.problem.design.omega, []
         if problem.robust:
-            of_P = f"{self.worst.peaks[0]:.8f} of the nominal plant"
-            lines.append(f"largest{self._whom()} {self._place()}, on the design grid; {of_P}")
+            of_P = f"of the nominal plant {self.worst.peaks[0]:.8f}"
+            lines.append(f"largest{self._whom()}: {self._place()}, on the design grid; {of_P}")
         if self.exact and self.estimated:
             sigma = highest(self.exact).sigma
             lines.append(f"sigma_max(M) of models alone at all frequencies, proven: {sigma:.6f}")

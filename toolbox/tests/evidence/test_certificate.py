@@ -81,7 +81,7 @@ def test_a_certificate_in_print(good):
     for line in (
         f"on the design grid        {tables.grid_M:.8f}{tables.grid_L:>14.7g}",
         f"over all frequencies      not proven{tables.all_L:>14.6g}",
-        f"{tables.worst.peaks[0]:.8f} of the nominal plant",
+        f"of the nominal plant {tables.worst.peaks[0]:.8f}",
         f"above 2 rad/s: {tables.beyond.sigma:.4f} at most, assumed",
         "unknown: below 0.01 rad/s, at resonances that no sample shows",
         f", no full filter of order 4 below {tables.lower_bound:.7g}, of",
@@ -243,7 +243,7 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
     assert certificate.peak.plant == worst > 0
     assert certificate.proven and certificate.failures == certificate.warnings == []
     assert certificate.grid_M == pytest.approx(0.6, rel=1e-9)
-    assert f"{design.sigma_M.max():.8f} of the nominal plant" in text
+    assert f"of the nominal plant {design.sigma_M.max():.8f}" in text
     problem = replace(certificate.problem, M_max=0.1, stated=None)
     peak = replace(certificate.peak, sigma=1.1)
     broken = replace(certificate, problem=problem, exact=[peak]).failures
