@@ -42,7 +42,7 @@ def test_readme_and_ledger_page_show_the_tracked_ledger(rows):
     assert text("figures/ledger.md") == ledger.markdown(rows)
 
 
-def test_each_row_leads_to_the_cell_that_made_it(rows):
+def test_each_row_and_each_figure_leads_to_the_cell_that_made_it(rows):
     code = {
         (name, cell.id): cell.source
         for name, notebook in NOTEBOOKS.items()
@@ -55,7 +55,12 @@ def test_each_row_leads_to_the_cell_that_made_it(rows):
         assert at in ([], [(row.notebook, row.cell)])
     page = text("figures/ledger.md")
     links = re.findall(r"\(\.\./notebooks/([^)]+)\.ipynb#cell-id=([^)]+)\)", page)
-    assert len(links) == len(rows) and {*links} <= {*code}
+    assert len(links) > len(rows) and {*links} <= {*code}
+    figures = dict(re.findall(r"^- \[([^]]+)\]\(\1\.png\): .*=([^)]+)\)$", page, re.M))
+    for (_, cell), source in code.items():
+        for name in re.findall(r'\bsave\(\w+, "([^"]+)", caption\)', source):
+            assert figures.pop(name) == cell
+    assert not figures
 
 
 def test_what_can_be_reproduced_is_reproduced(rows):

@@ -21,7 +21,6 @@ further. Where rounding moves it by one unit of the last digit shown, the row st
 """
 
 import re
-import shutil
 from itertools import count
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
@@ -29,7 +28,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ilctools.files import folder, read_json, write_whole
+from ilctools.files import folder, read_json, write_pieces, write_whole
 from rodlib.paper import published
 from rodlib.paper.comparison import different_figures, same_text
 from rodlib.paper.published import Claim
@@ -56,6 +55,8 @@ NEGLIGIBLE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "kind", "place", "cell"]
+COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
+SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
@@ -192,11 +193,42 @@ def read(path):
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """How many claims of each kind got which verdict, as Markdown; coefficients count apart."""
-    kind = rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient").map(KINDS)
-    counts = pd.crosstab(kind, rows.verdict)
+    """What the README says: of what could have differed, how many agree, and which do not."""
+    lines = []
+    for name in COUNTED:
+        of_kind = rows[kinds(rows) == name]
+        differ = of_kind.key[of_kind.verdict == DIFFERS]
+        agree = (of_kind.verdict == REPRODUCED).sum()
+        names = ", ".join(f"`{key}`" for key in differ if name != "coefficient")
+        which = f", not {names}" if names else ""
+        lines.append(f"- {KINDS[name]}: {agree} of {agree + len(differ)} agree{which}\n")
+    vague = (rows.verdict[kinds(rows) != "misprint"] == IN_WORDS).sum()
+    unchecked = (rows.verdict == UNCHECKED).sum()
+    last = f"- too vague, or hanging on choices of ours: {vague}; cannot be checked: {unchecked}\n"
+    return "".join([*lines, last])
+
+
+def kinds(rows: pd.DataFrame) -> pd.Series:
+    """The kind of each row; coefficients count apart."""
+    return rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
+
+
+def counted(rows: pd.DataFrame) -> str:
+    """How many claims of each kind got which verdict, as Markdown."""
+    counts = pd.crosstab(kinds(rows).map(KINDS), rows.verdict)
     counts = counts.reindex(index=KINDS.values(), columns=VERDICTS, fill_value=0)
     return counts.rename_axis("", axis=0).to_markdown() + "\n"
+
+
+def figures() -> str:
+    """A line of Markdown for each figure, with the cell that saves it."""
+    lines = []
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        for cell in read_json(path.read_text("utf-8"))["cells"]:
+            place = f"[{path.stem}](../notebooks/{path.name}#cell-id={cell['id']})"
+            names = re.findall(SAVED, "".join(cell["source"]))
+            lines += [f"- [{name}]({name}.png): {place}" for name in names]
+    return "\n".join(sorted(lines))
 
 
 def markdown(rows: pd.DataFrame) -> str:
@@ -216,13 +248,17 @@ products of printed gains that do not depend on the coordinates of the state, te
 What is *taken over* from the paper, or an *identity* (imposed, algebra, or another row once more),
 could hardly differ.
 
-{summary(rows)}
+{counted(rows)}
 ## Deviations from the paper
 
 {DEVIATIONS.read_text(encoding="utf-8")}
 ## All rows, those that differ first
 
 {table.to_markdown(index=False, disable_numparse=True)}
+
+## The figures
+
+{figures()}
 """
 
 
@@ -241,7 +277,7 @@ def publish(build: Path, root: Path) -> None:
     """Put what a complete run has changed into figures/ and the README; git mends half of it."""
     for name in changed(build, root):
         if (build / name).exists():
-            shutil.copyfile(build / name, root / name)
+            write_pieces(root / name, [(build / name).read_bytes()])
         else:
             (root / name).unlink(missing_ok=True)
 

@@ -64,7 +64,7 @@ def test_tracked_rows_follow_from_what_they_show():
 def counted(book):
     """The numbers in the counts of a ledger's rows, by kind, and its page."""
     rows = book.frame().assign(notebook="01-model", cell="a")
-    lines = [line.strip("| ").split(" | ") for line in ledger.summary(rows).splitlines()[2:]]
+    lines = [line.strip("| ").split(" | ") for line in ledger.counted(rows).splitlines()[2:]]
     titles = {title: kind for kind, title in ledger.KINDS.items()}
     counts = {titles[title.strip()]: [*map(int, numbers)] for title, *numbers in lines}
     return counts, ledger.markdown(rows)
@@ -111,6 +111,16 @@ def test_coefficients_of_a_flat_optimum_have_rows_and_are_counted_apart():
     counts, _ = counted(book)
     assert counts["printed"] == [0, 1, 0, 0]
     assert counts["coefficient"] == [0, 20, 0, 0]
+
+
+def test_the_double_zero_counts_once_and_what_is_imposed_not_at_all():
+    claims = published.claims()
+    zeros = [key for key in claims if re.match("zeros?_[sz]", key)]
+    imposed = [key for key in claims if re.match("peak_L_|gamma_|peak_4546_L", key)]
+    assert len(zeros) == 6 and len(imposed) == 7
+    kinds = [claims[key].kind for key in [*zeros, *imposed]]
+    assert sorted(kinds) == 12 * ["identity"] + ["printed"]
+    assert sum(entry.kind == "derived" for entry in claims.values()) == 10
 
 
 @pytest.mark.parametrize(
@@ -209,8 +219,8 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     without = [entry.key for entry in published.claims().values() if not entry.criterion]
     assert rows[(rows.verdict == DIFFERS) & rows.key.isin(without)].key.tolist() == ["N[1,1]"]
     readme = (root / "README.md").read_text()
-    assert readme.startswith("before\n<!-- ledger -->\n| ")
-    assert readme.endswith("-->\nafter\n") and "statements about" in readme
+    assert readme.startswith("before\n<!-- ledger -->\n- printed numbers: ")
+    assert readme.endswith("-->\nafter\n") and "`N[1,1]`" in readme
 
 
 def test_what_is_the_same_stays_as_it_is(root, capsys):

@@ -142,8 +142,8 @@ def test_a_grid_is_even_in_the_phase_of_each_set_of_poles(sizes, distance, seed)
     assert steps.max() < 0.08 and len(theta) < 3 + sum(sizes) * 2 * np.pi / 0.05
 
 
-@pytest.mark.parametrize("gain", [1e-100, 1e100])
-def test_gains_in_any_unit_are_found(gain):
+@pytest.mark.parametrize("gain", [1e-170, 1e170])
+def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     for m in (1, 3):
         lag = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), 0, 1.0)
         assert peak_gain(lag)[0] == pytest.approx(2 * gain, rel=CLOSE, abs=0)

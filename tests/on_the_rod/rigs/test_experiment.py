@@ -1,5 +1,6 @@
 """Experiments on rigs: as simulated, by names, refused before they begin, safe in the end."""
 
+import sys
 import warnings
 from types import SimpleNamespace
 
@@ -194,3 +195,13 @@ def test_samples_that_are_not_on_time_are_reported(loop, Q):
         record(Late(), loop, Law(Q, None), np.zeros((20, 2)), None, 1)
     with warnings.catch_warnings(action="error"):
         record(VirtualRig(), loop, Law(Q, None), np.zeros((20, 2)), None, 2, pause=3)
+
+
+def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
+    trials = loop, Law(Q, None), np.ones((20, 2)), None, 2
+    record(VirtualRig(), *trials, pause=3)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    record(VirtualRig(), *trials, pause=3)
+    shown = capfd.readouterr().err
+    assert "trial 2 of 2" in shown and "40/40" in shown

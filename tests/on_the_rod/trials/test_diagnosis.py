@@ -33,7 +33,7 @@ from ilctools.trials.diagnosis import (
     errors_by_octave,
     known_P,
     largest_M,
-    predicted_effect,
+    predicted,
     unexplained,
 )
 from ilctools.trials.recorded import successions
@@ -258,8 +258,7 @@ def test_ratios_by_octave_are_those_of_M():
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(law.loop, law, reference, trials=2, plant=plant)
     P = known_P(law)
-    run = run.assign(effect=(run.v.dims, predicted_effect(run, law, P)))
-    table = errors_by_octave(law, largest_M(law, P), run, 0, 1)
+    table = errors_by_octave(law, largest_M(law, P), predicted(run, law, P), 0, 1)
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]

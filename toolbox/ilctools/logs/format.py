@@ -170,9 +170,11 @@ def _free_metadata(attributes):
         if key in KEYS or not re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", str(key)):
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
-        metadata[key] = (
-            value if line else json.dumps(value, default=lambda x: np.asarray(x).tolist())
-        )
+        try:
+            text = value if line else json.dumps(value, default=lambda x: np.asarray(x).tolist())
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"attribute {key!r} cannot be JSON: {error}") from None
+        metadata[key] = text
     return metadata
 
 

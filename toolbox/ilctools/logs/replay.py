@@ -14,7 +14,7 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.files import write_whole
+from ilctools.files import keep_others, write_whole
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.law.repetitive import next_samples, repeated
@@ -252,14 +252,19 @@ class Replay:
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
 
     def save_following(self, path) -> None:
-        """Write the next trial's v as a table, the time in s and a column for each output."""
+        """Write the next trial's v as a table, the time in s and a column for each output.
+
+        Only such a table is replaced.
+        """
         path = arguments.path("path", path)
         if self.law is None:
             raise ValueError("the log does not name its law: there is no next trial")
         units = self.trials.output_unit.values
         titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
         time = pd.Index(self.trials.time.values[: len(self.following)], name="time (s)")
-        write_whole(path, pd.DataFrame(self.following, time, [*titles]).to_csv())
+        text = pd.DataFrame(self.following, time, [*titles]).to_csv()
+        keep_others(path, text.partition("\n")[0])
+        write_whole(path, text)
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:

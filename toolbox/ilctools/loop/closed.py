@@ -86,7 +86,10 @@ class CurrentTrialLoop:
         exactly a trial with this v without limits, whatever the plant: u = N w - K_s x-hat - delta,
         (18).
         """
-        return v + (applied - u) @ np.linalg.inv(self.N).T
+        try:
+            return v + (applied - u) @ np.linalg.inv(self.N).T
+        except np.linalg.LinAlgError:
+            raise ValueError("loop.N is singular: w does not follow from its commands") from None
 
     @property
     def P(self) -> control.StateSpace:

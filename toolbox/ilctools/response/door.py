@@ -11,6 +11,7 @@ from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.response.response import Response
+from ilctools.response.roughness import scatter
 from ilctools.signals import Signals, check_match
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
@@ -18,6 +19,7 @@ LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is cho
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
 # relative: imaginary part that the rounding of a table may leave of a real response
 IMAGINARY = 1e-6
+SCATTERED = 4  # times the RMS by which the lines scatter, that noise may
 
 
 def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
@@ -165,7 +167,8 @@ def _refuse_other_units(name, omega, responses, Ts):
         if abs(omega[-1] / end - 1) > IMAGINARY or abs(omega[-1] * Ts - np.pi) < IMAGINARY:
             continue
         imaginary, size = (np.abs(x).max(axis=(2, 3)) for x in (responses.imag, responses))
-        rounding = IMAGINARY * size.max()
+        noise = np.array([scatter(omega, P) for P in responses]) * size[:, -1]
+        rounding = np.maximum(IMAGINARY * size.max(), SCATTERED * noise)
         if np.any((imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)):
             raise ValueError(
                 f"{name} ends at {omega[-1]:.6g} = {what}, and P is real there, as at the Nyquist "

@@ -37,6 +37,7 @@ class Experiment:
     notes: dict[str, str]  # of what makes the trials
     log: xr.Dataset | None = None
     trials: list[Part] = field(default_factory=list)
+    size: int | None = None  # of the log, in bytes, as this experiment left it
 
     def run(self, pause: int | None, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; the log of all."""
@@ -52,6 +53,7 @@ class Experiment:
             if len(self.trials) < len(self.reference):
                 if self.trials:
                     write_log(self.log, path)  # without a last trial that is torn
+                    self.size = path.stat().st_size
                 self.run_on(pause, path)
         return self.log
 
@@ -102,14 +104,20 @@ class Experiment:
     def save(self, path, log) -> None:
         """Add the last trial of a log to its file, or write all where there is none.
 
-        By rows, because meanwhile the next trial may run.
+        By rows, because meanwhile the next trial may run. What others wrote there is left alone.
         """
         if not path.exists():
             write_log(log, path)
-            return
-        k, names = len(log.trial), columns_of(signals_of(log), log)
-        rows = rows_as_text(k, log.time.values, [self.trials[k - 1][name] for name in names])
-        append(path, rows)
+        elif path.stat().st_size == self.size:
+            k, names = len(log.trial), columns_of(signals_of(log), log)
+            rows = rows_as_text(k, log.time.values, [self.trials[k - 1][name] for name in names])
+            append(path, rows)
+        else:
+            raise FileExistsError(
+                f"path = '{path}' was changed by another program during a trial, and is left as it "
+                "is: save the attribute trials of this error by save_log, at another path"
+            )
+        self.size = path.stat().st_size
 
     def run_trial(self, k, pause, bar) -> tuple[Part, str]:
         """Run trial k, counted from 0, and what there is to say of the pause before it.

@@ -75,7 +75,7 @@ def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     groups = by_unit(trials.output_unit.values.tolist()).values()
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         if not exact and (P := known_P(law)):
-            trials = trials.assign(effect=(AXES, predicted_effect(trials, law, P)))
+            trials = predicted(trials, law, P)
             tests["model"] = partial(plant_differs, law, largest_M(law, P))
         for channels, (k, since) in product(groups, enumerate(successions(trials))):
             if not first - 1 <= k > since:
@@ -127,17 +127,20 @@ def known_P(law: Law) -> Callable | None:
     return lambda omega: (frequency_response(model, omega), np.zeros(len(omega)))
 
 
-def predicted_effect(trials: xr.Dataset, law: Law, P: Callable) -> np.ndarray:
-    """P v from rest, by which v lowers the error, (trial, time, m).
+def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
+    """Trials with P v from rest, by which v lowers the error, and what the radius may add to it.
 
     By transforms of twice the length, after which the impulse response has decayed.
     """
     v = applied_v(trials, law)
     run = runs(v, trials)
     samples = run.shape[1]
-    response, _ = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
-    effect = response @ np.fft.rfft(run, 2 * samples, axis=1)[..., None]
-    return np.fft.irfft(effect[..., 0], axis=1)[:, :samples].reshape(v.shape)
+    response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
+    V = np.fft.rfft(run, 2 * samples, axis=1)[..., None]
+    spectra = np.stack([response @ V, radius[:, None, None] * V])[..., 0]
+    effect, spread = np.fft.irfft(spectra, axis=2)[:, :, :samples].reshape(2, *v.shape)
+    of_inputs = ("trial", "time", "input"), spread
+    return trials.assign(effect=(AXES, effect), spread=of_inputs)
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
@@ -154,18 +157,19 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
     `bound` is sigma_max(M) and what Q leaves, by (1); `predicted` follows from (2), ends included;
     `measured` is the error of trial k. `excess` is the RMS by which it exceeds both.
     """
-    e, effect = trials.e.values, trials.effect.values
+    e, effect, spread = (trials[name].values for name in ("e", "effect", "spread"))
     frequency = octaves(e.shape[1]) * 2 * np.pi / e.shape[1]  # times Ts
     sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, frequency))
     free = e[before] + effect[before]  # the error without v
     size = np.maximum(rms_by_octave(e[before]), TINY)
     kept = rms_by_octave(free - law.Q.apply(free))  # (1 - Q) e_free
     bound = 1 - law.gain + law.gain * (sigma + kept / size)  # (1)
-    predicted = rms_by_octave(free - effect[k]) / size  # (2)
+    off = rms_by_octave(spread[k] - spread[before])  # by the radius of P
+    promised = (rms_by_octave(free - effect[k]) + off) / size  # (2)
     measured = rms_by_octave(e[k]) / size
-    table = {"bound": bound, "predicted": predicted, "measured": measured}
+    table = {"bound": bound, "predicted": promised, "measured": measured}
     table["frequency"] = np.append(frequency[1:], np.pi) / law.Ts
-    table["excess"] = size * np.maximum(measured - np.maximum(bound, predicted), 0)
+    table["excess"] = size * np.maximum(measured - np.maximum(bound, promised), 0)
     return pd.DataFrame(table)
 
 

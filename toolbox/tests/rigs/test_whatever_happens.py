@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import control
 import numpy as np
 import pytest
 
@@ -210,6 +211,14 @@ def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(tmp_path, monkeypat
     assert error.value.trials.sizes["trial"] > 2
 
 
+def test_a_log_that_another_program_writes_during_a_trial_is_left_alone(tmp_path):
+    path, axis = tmp_path / "log.csv", Axis()
+    axis.begin = lambda trial: path.write_text("theirs") if trial == 3 else None
+    with pytest.raises(FileExistsError, match="changed by another program") as error:
+        record(axis, LOOP, LAW, REFERENCE, path=path)
+    assert path.read_text() == "theirs" and error.value.trials.sizes["trial"] == 3
+
+
 def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tmp_path):
     log, pipe = tmp_path / "log.csv", tmp_path / "pipe"
     record(Axis(), LOOP, LAW, REFERENCE, trials=1, path=log)
@@ -251,4 +260,12 @@ def test_raw_data_are_not_written_over(tmp_path):
     empty.touch()
     for path in (log, log, empty):
         save_log(table, path)
+    model = control.ss(0.8, 0.2, 1, 0, 0.01, outputs=["x"])
+    run = record(Axis(), ClosedLoop(model), LAW, REFERENCE, trials=2)
+    replayed = ilctools.replay(run)
+    for path in (raw, log):
+        with pytest.raises(ValueError, match="is a file of another kind"):
+            replayed.save_following(path)
+    for _ in range(2):
+        replayed.save_following(tmp_path / "next.csv")
     assert raw.read_text().startswith("t,u,y") and load_log(log).identical(load_log(empty))

@@ -15,7 +15,8 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.trials.diagnosis import GRID, largest_M, predicted_effect
+from ilctools.trials.diagnosis import GRID, errors_by_octave, largest_M, predicted
+from ilctools.trials.rms import rms_by_octave
 
 PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
@@ -59,11 +60,17 @@ def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
         record(Axis(gain, seed), LOOP, law, REFERENCE, trials=6)
 
 
-def test_the_radius_adds_to_the_largest_M(law):
-    sigma = {}
+def test_the_radius_allows_for_its_share_of_the_change_of_v(law):
+    log = record(Axis(1.0, 0), LOOP, law, REFERENCE, trials=2)
+    sigma, errors = {}, {}
     for radius in (0.0, RADIUS):
         region = replace(law.region, radius=np.full(len(law.region.omega), radius))
-        sigma[radius] = largest_M(law, region.on)
+        sigma[radius], trials = largest_M(law, region.on), predicted(log, law, region.on)
+        errors[radius] = errors_by_octave(law, sigma[radius], trials, 0, 1)
+    added = errors[RADIUS].predicted - errors[0.0].predicted
+    change = np.diff(log.v.values, axis=0)
+    allowed = np.sum((added * rms_by_octave(log.e.values[0])) ** 2)
+    np.testing.assert_allclose(allowed, RADIUS**2 * np.mean(change**2), rtol=1e-6)
     L, Q = (np.abs(f.frequency_response(GRID / law.Ts).ravel()) for f in (law.L, law.Q))
     np.testing.assert_allclose(sigma[RADIUS], sigma[0.0] + Q * RADIUS * L, rtol=1e-9)
 
@@ -71,5 +78,5 @@ def test_the_radius_adds_to_the_largest_M(law):
 def test_P_v_is_what_the_plant_makes_of_v_from_rest(law):
     log = record(Axis(1.0, 0), LOOP, law, REFERENCE, trials=2)
     expected = control.forced_response(PLANT, inputs=log.v.values[1].T).outputs
-    effect = predicted_effect(log, law, law.region.on)[1].T
+    effect = predicted(log, law, law.region.on).effect.values[1].T
     np.testing.assert_allclose(effect, expected[None], atol=1e-3 * np.abs(expected).max())
