@@ -55,9 +55,13 @@ def execute(notebook: Path, executed: Path, **parameters) -> float:
             resources={"metadata": {"path": str(notebook.parent)}},
             shutdown_kernel="immediate",  # all is written by then
         )
-    except Exception as error:  # papermill's own has the traceback; `evalue` is its message
-        reason = getattr(error, "evalue", error)
-        text = f"{notebook.stem} failed: {reason} (as far as it came: {executed})"
+    except papermill.PapermillExecutionError as error:
+        raise RuntimeError(
+            f"{notebook.stem} failed in cell [{error.exec_count}]: {error.ename}: {error.evalue}\n"
+            f"The traceback is in {executed}"
+        ) from None
+    except Exception as error:
+        text = f"{notebook.stem} failed: {error} (as far as it came: {executed})"
         raise RuntimeError(text) from None
     return time.perf_counter() - start
 
