@@ -78,6 +78,16 @@ def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
     assert beyond.sigma <= 0.95 * (1 + 1e-9)
 
 
+def test_above_a_table_Q_is_that_of_the_frequency_before(Q):
+    """It falls: so the bound on M at a frequency is one as far as the next."""
+    P, omega = table(3, 1, 12, 1.2)
+    grid, stated = on_a_grid(pose(P, Q, omega, 1.0, order=6, L_max=4.0))
+    above = np.append(omega[-1], grid.omega[grid.omega > omega[-1]])
+    bounded = Q.frequency_response(above[:-1])
+    np.testing.assert_allclose(grid.Q[grid.omega > omega[-1]], bounded, rtol=1e-12)
+    assert len(above) > 10 and not stated[grid.omega > omega[-1]].any()
+
+
 def test_the_worst_of_the_assumed_size_is_what_the_certificate_says():
     P, omega = table(3, 2, 12, 1.2)
     Q = zero_phase_butterworth(2, 0.8, 1.0)
