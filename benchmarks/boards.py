@@ -156,9 +156,10 @@ def moved(kind, draw, z, strange, noise):
 def shaken(hours, draw, z, noise, values):
     """Largest radius of P from a board that was shaken, and the least promise for all in it."""
     loop = loop_of(values)
-    lowest = 6.6 * 2 * np.pi / (3600 * hours)  # 3.3 periods for each of two inputs
+    # three periods of two realisations for each of two inputs
+    lowest = 12.1 * 2 * np.pi / (3600 * hours)
     plan = multisine(loop, lowest, highest=0.15, amplitude=1.2, hours=hours)
-    with warnings.catch_warnings(action="ignore"):  # that the loop is not linear
+    with warnings.catch_warnings(action="ignore"):  # that lines are far apart, or y drifts
         P = measured_response(shake(Board(z, 40.0, noise, draw), loop, plan))
     best = synthesise(P, Q, OMEGA, TS, **BOUNDS).certificate.grid_M
     return P.radius(0.99, jointly=True).max(), best

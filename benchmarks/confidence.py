@@ -15,7 +15,7 @@ SEEDS = 100
 CONFIDENCES = (0.9, 0.95, 0.99)
 HOURS = 6.0
 LOOP = paper_loop()
-EXCITATION = multisine(LOOP, 3.3 * 4 * np.pi / (3600 * HOURS), 0.3, 5.0, HOURS, lines=60)
+EXCITATION = multisine(LOOP, 6.05 * 4 * np.pi / (3600 * HOURS), 0.3, 5.0, HOURS, lines=60)
 
 
 def measured(seed, **parameters):

@@ -178,7 +178,7 @@ def test_how_often_radii_hold_the_truth_is_counted(benchmarks, monkeypatch, caps
     """With half an hour of shaking instead of six, two seeds; and with radii that hold nothing."""
     import confidence
 
-    short = confidence.multisine(confidence.LOOP, 0.03, 0.3, 5.0, 0.5, lines=6)
+    short = confidence.multisine(confidence.LOOP, 0.05, 0.3, 5.0, 0.5, lines=6)
     monkeypatch.setattr(confidence, "EXCITATION", short)
     monkeypatch.setattr(confidence, "measured", cache(confidence.measured))
     monkeypatch.setattr(confidence, "SEEDS", 2)

@@ -114,7 +114,7 @@ def test_trials_of_the_emulator_are_those_of_the_simulation(monkeypatch):
 def measure(rest=(50.0, 50.0)):
     """The loop shaken around a state of rest; its measured response and the true one."""
     loop = loop_of(ROUGH)
-    excitation = multisine(loop, 8e-3, 0.3, [2.5, 1.5], 1.5, lines=16)
+    excitation = multisine(loop, 8e-3, 0.3, [2.5, 1.5], 2.7, lines=16)
     rig = TemperatureControlLab(rest=rest, wait=3000.0)
     rig.lab.maxstep = 0.1
     measured = measured_response(shake(rig, loop, excitation))
@@ -131,12 +131,11 @@ def test_without_noise_the_measured_response_is_that_of_the_heat_balance(monkeyp
     assert np.linalg.norm(model - truth, 2, axis=(1, 2)).max() > 0.5
 
 
-def test_the_converter_shows_and_is_within_what_the_finding_says():
-    with pytest.warns(UserWarning, match="the loop is not linear") as raised:
-        measured, truth = measure()
-    said = float(str(raised[0].message).split("off by about ")[1].split(",")[0])
+def test_the_steps_of_the_converter_are_within_the_radius():
+    measured, truth = measure()
     off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
-    assert np.all(off < measured.radius(0.99, jointly=True) + said)
+    assert np.all(off < measured.radius(0.99, jointly=True))
+    assert np.median(measured.distortion) > np.median(measured.noise)
 
 
 class Clock:

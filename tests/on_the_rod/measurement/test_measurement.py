@@ -3,41 +3,39 @@
 import warnings
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 from plants import furnace
+from scipy.signal import lfilter
 from scipy.stats import binom
 
-from ilctools import current_trial_loop, load_log, measured_response, multisine, shake
+from ilctools import ClosedLoop, current_trial_loop, load_log, measured_response, multisine, shake
 from ilctools.errors import LogError, RigError
 from ilctools.law.notes import loop_note, loop_of
 from ilctools.measurement.excitation import excitation_of, with_excitation
-from ilctools.measurement.measurement import _estimate
-from ilctools.measurement.region import radius_of
-from ilctools.measurement.transient import separated, windows_of
+from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
-from rodlib import midr, paper_loop, sampled_response
+from rodlib import paper_loop, sampled_response
 from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
 
 SEEDS = 40
 CASES = {  # loop, lowest and highest frequency (rad/s), hours, noise
-    "rod": (paper_loop, 0.02, 0.5, 1.2, 0.02),
-    "furnace": (lambda: current_trial_loop(furnace(10)), 0.08, 1.5, 0.4, 0.01),
+    "rod": (paper_loop, 0.015, 0.5, 1.5, 0.02),
+    "furnace": (lambda: current_trial_loop(furnace(10)), 0.08, 1.5, 0.6, 0.01),
 }  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def quick(loop):
     """An excitation of the paper's loop that does not take long."""
-    return multisine(loop, 5e-3, 0.5, 2.0, 2.3, lines=16)
+    return multisine(loop, 5e-3, 0.5, 2.0, 4.3, lines=16)
 
 
 @pytest.fixture(scope="module")
 def short(loop):
     """A shorter one, with a lowest frequency that is too high for what is known at zero."""
-    return multisine(loop, 0.02, 0.5, 2.0, 0.7, lines=12)
+    return multisine(loop, 0.02, 0.5, 2.0, 1.1, lines=12)
 
 
 def answer(loop, w, noise=None, plant=None):
@@ -68,8 +66,8 @@ def noise_of(excitation, sigma, seed, count=1):
 def estimate(loop, excitation, y, part=None, scale=1.0):
     """P from a part of the samples, by default the last, in units of a scale."""
     part = slice(-excitation.evaluated, None) if part is None else part
-    w, windows = excitation.signals, windows_of(excitation.harmonics, excitation, loop)
-    return _estimate(w[:, part] / scale, y[:, part] / scale, windows, excitation, loop)
+    w = excitation.signals[:, part] / scale
+    return excited_response(w, y[:, part] / scale, w, {}, excitation, loop)
 
 
 def off(response, truth):
@@ -90,80 +88,96 @@ def seeds(request):
     return loop.frequency_response(excitation.omega), measured[0], measured[1:]
 
 
-def test_the_region_covers_the_truth_as_often_as_it_says(seeds):
+def test_the_region_covers_the_truth_at_least_as_often_as_it_says(seeds):
+    """In the Frobenius norm as often; the largest singular value of a 2 x 2 matrix is less."""
     truth, _, measured = seeds
+    low = binom.ppf(5e-4, SEEDS, 0.9)
     covered = np.array([off(one.response, truth) <= one.radius(0.9) for one in measured])
-    assert 0.87 <= covered.mean() <= 0.93
-    low, high = binom.interval(0.999, SEEDS, 0.9)
-    assert low <= covered.sum(axis=0).min() and covered.sum(axis=0).max() <= high
+    assert covered.mean() >= 0.89 and covered.sum(axis=0).min() >= low
+    errors = [np.linalg.norm(one.response - truth, axis=(1, 2)) for one in measured]
+    within = np.array([e <= one.radius(0.9) for e, one in zip(errors, measured, strict=True)])
+    assert 0.87 <= within.mean() <= 0.93 and within.sum(axis=0).min() >= low
 
 
-def test_noise_that_the_loop_shapes_is_estimated_right_where_it_bends(loop):
-    """Its density has a peak near the bandwidth: a mean over neighbours misses a sixth of it."""
-    excitation = multisine(loop, 3.84e-3, 0.3, 5.0, 3.0, lines=60)
-    windows = windows_of(excitation.harmonics, excitation, loop)
-    last = slice(-excitation.evaluated, None)
-    W = np.fft.fft(excitation.signals[:, last], axis=1)
-    spread = np.linalg.inv(np.moveaxis(W[:, [window.line for window in windows]], 0, 2))
-    plant = control.sample_system(midr(MISMATCHED, degree=6), loop.Ts, method="zoh")
-    power, errors = 0, 0
-    for noise in noise_of(excitation, 0.02, 5, SEEDS):
-        y = [answer(loop, 0 * e[None], e[None], plant)[0, last] for e in noise]
-        net, estimate, _ = separated(np.array(y), windows)
-        errors += np.sum(np.abs(net @ spread) ** 2, axis=(1, 2))
-        power += np.einsum("nii->n", estimate).real
-    ratio = (power * np.sum(np.abs(spread) ** 2, axis=(1, 2)) / errors)[1:8]
-    assert np.all(np.abs(ratio - 1) < 0.25) and abs(ratio.mean() - 1) < 0.1
-
-
-def test_bias_is_below_the_noise_and_the_covariance_is_that_of_the_errors(seeds):
+def test_bias_is_below_the_noise_and_the_variance_is_that_of_the_errors(seeds):
     truth, without_noise, measured = seeds
-    errors = np.reshape([one.response - truth for one in measured], (SEEDS, len(truth), -1))
-    sample = np.einsum("snj,snk->njk", errors, errors.conj()) / SEEDS
-    deviation = np.sqrt(np.einsum("njj->nj", sample).real)
-    bias = np.abs(without_noise.response - truth).reshape(deviation.shape)
-    assert np.all(bias < deviation / 3)
-    noise = np.mean([one.noise for one in measured], axis=0)
-    spread = measured[0].spread  # of the entries P11, P12, ...
-    predicted = np.einsum("nik,nej,nel->nijkl", noise, spread, spread.conj()).reshape(sample.shape)
-    relative = (predicted - sample) / (deviation[:, :, None] * deviation[:, None])
-    assert np.abs(relative.mean(axis=0)).max() < 0.3
-    scatter = np.einsum("njj->", predicted).real / np.einsum("njj->", sample).real
-    assert scatter == pytest.approx(1, abs=0.15)
+    errors = np.array([np.linalg.norm(one.response - truth, axis=(1, 2)) for one in measured])
+    power = np.mean(errors**2, axis=0)
+    bias = np.linalg.norm(without_noise.response - truth, axis=(1, 2))
+    assert np.all(bias < np.sqrt(power) / 3)
+    for kind in ("error", "noise"):
+        estimated = np.mean([getattr(one, kind) ** 2 for one in measured], axis=0)
+        assert estimated.sum() / power.sum() == pytest.approx(1, abs=0.15), kind
+    ratio = np.mean([one.error**2 for one in measured], axis=0) / power
+    # the noise of the furnace falls by 4 between two lines, which a straight line does not
+    assert 0.5 < ratio.min() < ratio.max() < 2
 
 
-@pytest.mark.parametrize(("m", "freedom", "ratio"), [(2, 4, 1.0), (3, 9, 0.05)])
-def test_the_radius_holds_for_noise_in_all_directions_and_in_one(m, freedom, ratio):
-    rng = np.random.default_rng(m * freedom)
-    n = 400
+def lags(u):
+    """Four first-order lags, two inputs to two outputs, (experiment, time, channel)."""
+    a, gain = np.array([[0.97, 0.99], [0.985, 0.96]]), np.array([[1, 0.4], [0.3, 0.8]])
+    of = lambda i, j: lfilter([0, gain[i, j] * (1 - a[i, j])], [1, -a[i, j]], u[..., j])  # noqa: E731
+    return np.stack([of(i, 0) + of(i, 1) for i in range(2)], axis=-1)
+
+
+def resonance(u):
+    return lfilter([0, 0.07], [1, -1.94 * np.cos(0.3), 0.97**2], u, axis=1)
+
+
+def delayed(u):
+    return np.roll(lfilter([0.3], [1, -0.7], u, axis=1), 20, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("plant", "outputs", "bent", "realisations", "hours"),
+    [
+        (lags, ["y1", "y2"], 0.1, 2, 1.4),
+        (resonance, ["y"], 1.0, 6, 2.2),
+        (delayed, ["y"], 0.3, 2, 0.7),
+    ],
+)
+def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations, hours):
+    """Behind w + c w^3; the truth is the mean over the draws of phases, without noise."""
+    loop, rng = ClosedLoop(Ts=1.0, outputs=outputs), np.random.default_rng(1)
+
+    def measured(excitation, noise):
+        w = excitation.signals
+        y = plant(w + bent * w**3) + noise * rng.standard_normal(w.shape)
+        return estimate(loop, excitation, y)
+
+    plans = [
+        multisine(loop, 0.015, 1.0, 0.5, hours, 20, realisations=realisations, seed=seed)
+        for seed in range(16)
+    ]
+    truth = np.mean([measured(plan, 0.0).response for plan in plans], axis=0)
+    found = [measured(plan, 0.003) for plan in plans]
+    outside = np.array([off(P.response, truth) > P.radius() for P in found])
+    # lines of a draw are alike: as if there were five independent ones in each
+    assert outside.mean() <= binom.ppf(0.999, 5 * len(plans), 0.05) / (5 * len(plans))
+    by_noise, by_both = (np.median([x for P in found for x in v(P)]) for v in (
+        lambda P: P.noise, lambda P: P.error))  # fmt: skip
+    assert bent < 1 or by_both > 2 * by_noise
+
+
+@pytest.mark.parametrize(("m", "realisations"), [(1, 2), (1, 6), (2, 3), (3, 4)])
+def test_the_radius_is_that_of_normal_errors(m, realisations):
+    """Whose size grows with frequency a hundredfold; of all entries, and of one alone."""
+    rng, n = np.random.default_rng(m * realisations), 30
+    omega, loop = np.geomspace(0.01, 1, n), ClosedLoop(Ts=1.0, outputs=list("abc"[:m]))
 
     def normal(*shape):
         return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
-    root = np.diag(np.linspace(1, ratio, m))
-    V = root @ normal(n, m, freedom)
-    estimate = V @ V.conj().swapaxes(1, 2) / freedom
-    radius = radius_of(estimate, np.tile(np.eye(m), (n, 1, 1)), np.full(n, freedom), 0.05)
-    covered = np.sum(np.linalg.norm(root @ normal(n, m, m), 2, axis=(1, 2)) <= radius)
-    low, high = binom.ppf(5e-4, n, 0.93), binom.ppf(1 - 5e-4, n, 0.965)
-    assert low <= covered <= high
-
-
-def test_one_channel_has_the_quantile_of_an_f_distribution():
-    """With two degrees of freedom, P(F > x) = (1 + x / (2 nu) * 2)^(-nu)."""
-    one = np.ones((1, 1, 1))
-    for nu, miss in ((1, 0.05), (7, 0.01)):
-        square = nu * (miss ** (-1 / nu) - 1)
-        np.testing.assert_allclose(radius_of(4 * one, one, np.array([nu]), miss), 2 * square**0.5)
-
-
-def test_the_transient_of_a_slow_plant_is_separated(loop):
-    """From rest, without the lead: it is no noise."""
-    excitation = multisine(loop, 6e-3, 0.3, 2.0, 2.6, lines=12)
-    y = answer(loop, excitation.signals, noise_of(excitation, 0.02, 3)[0])
-    measured = estimate(loop, excitation, y, slice(excitation.evaluated))
-    error = off(measured.response, loop.frequency_response(excitation.omega))
-    assert np.all(error < 1.5 * measured.radius(0.95))
+    truth = np.exp(-3j * omega)[:, None, None] * np.eye(m) / (1 + 1j * omega[:, None, None])
+    for entries in (np.ones((m, m)), np.eye(m)[[0]].T * np.eye(m)[[0]]):
+        size, within = omega[:, None, None] * entries, []
+        for _ in range(60):
+            periods = truth + 1e-3 * size * normal(realisations, 2, n, m, m)
+            P = ExcitedResponse(omega, periods, loop)
+            within.append(np.linalg.norm(P.response - truth, axis=(1, 2)) <= P.radius(0.9))
+        assert np.mean(within) == pytest.approx(0.9, abs=0.035)
+        middle = np.mean(within, axis=0)[5:-5]
+        assert middle.min() > 0.75
 
 
 def test_the_rig_is_measured(loop, quick):
@@ -190,7 +204,7 @@ def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
     path = tmp_path / "shaken.csv"
     with pytest.raises(RigError, match="trial 2"):
         shake(Failing(), loop, short, path=path)
-    with pytest.raises(LogError, match=r"experiments \[1\] of 2"):
+    with pytest.raises(LogError, match=r"experiments \[1\] of 4"):
         measured_response(load_log(path))
     with pytest.raises(ValueError, match="another experiment"):
         shake(RestartingRig(), loop, replace(short, amplitude=(1.0, 1.0)), path=path)
@@ -220,7 +234,7 @@ def test_noise_alone_leads_to_no_finding_and_a_lowest_frequency_that_is_high_doe
     noise = noise_of(quick, 0.02, 8, 6)
     for y in answer(loop, quick.signals) + answer(loop, 0 * noise, noise):
         assert not measured_response(log_of(loop, quick, y)).findings
-    high = multisine(loop, 0.05, 0.5, 2.0, 0.3, lines=8)
+    high = multisine(loop, 0.05, 0.5, 2.0, 0.45, lines=8)
     y = answer(loop, high.signals, noise_of(high, 0.02, 4)[0])
     with pytest.warns(UserWarning, match=r"P differs from I by 1\.\d+ at the lowest"):
         measured_response(log_of(loop, high, y))
@@ -231,7 +245,7 @@ def test_lines_too_far_apart_for_a_delay_are_reported(lines):
     """The phase of a long delay turns by more than a radian between 40 lines, and not of 200."""
     sizes = {"outlet": 10.0, "valve": 5.0}
     loop = current_trial_loop(furnace(20, Ts=30.0), sizes=sizes)
-    plan = multisine(loop, 5e-4, 0.08, 5.0, 35.0, lines=lines)
+    plan = multisine(loop, 5e-4, 0.08, 5.0, 43.0, lines=lines)
     log = log_of(loop, plan, answer(loop, plan.signals, noise_of(plan, 1e-3, 3)[0]))
     with warnings.catch_warnings(record=True, action="always") as caught:
         measured = measured_response(log)
@@ -254,7 +268,7 @@ def test_wrong_records_are_refused(loop, quick):
     for wrong, message in (
         (log_of(loop, quick, gap), "log.y"),
         (log_of(loop, quick, y, broken), "w of y1 is not its excitation"),
-        (log_of(loop, quick, y, w[[0, 0]]), "w of y2 is not its excitation"),
+        (log_of(loop, quick, y, w[[0, 0, 2, 3]]), "w of y2 is not its excitation"),
         (log_of(loop, quick, y[:, 1:], w[:, 1:]), "log.v has shape"),
         (without, "not of shake"),
         (log.assign_attrs(excitation='{"period": 3}'), "excitation"),
@@ -263,7 +277,8 @@ def test_wrong_records_are_refused(loop, quick):
         with pytest.raises(ValueError, match=message):
             measured_response(wrong)
     with pytest.raises(ValueError, match="channels = 1"):
-        shake(RestartingRig(), loop, replace(quick, amplitude=(1.0,)))
+        one = multisine(ClosedLoop(Ts=1.0, outputs=["y1"]), 0.02, 0.5, 2.0, 1.0)
+        shake(RestartingRig(), loop, one)
 
 
 def test_between_the_lines_and_in_other_units(loop, quick):

@@ -36,8 +36,8 @@ def test_an_actuator_of_the_wrong_sign_does_not_run_away():
         record(device, BOILER, law, bump(200, [5.0, 3.0]), trials=2)
     assert np.abs(device.sent).max() < 1e3 and device.ends == 1
     assert stop.value.trials is None
-    excitation = multisine(BOILER, 0.1, 3.0, 1.0, 0.2, 5)
-    with pytest.raises(StoppedError, match=r"heat = .* is not from -6 to 6"):
+    excitation = multisine(BOILER, 0.1, 3.0, 1.0, 0.22, 5)
+    with pytest.raises(StoppedError, match=r"heat = .* is not from -5.99743 to 5.99743"):
         shake(RestartingModel(boiler(), signs=[1.0, -1.0, 1.0]), BOILER, excitation)
 
 

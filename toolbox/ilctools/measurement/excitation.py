@@ -14,52 +14,60 @@ from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays
 LONGEST = 720.0  # hours: a month, in which no rig stays as it is
 MANY = 1000  # periods, more than which no experiment of more than a day needs
-FEWEST = 3  # periods: with fewer, nothing around the lowest line tells the noise
-POINTS = 2**21  # that are clipped, in rounds over one period
+FEWEST, MOST = 2, 10  # realisations: with more, the quantiles of the radius hardly fall
+CLIPPED = 300  # rounds in which a signal is clipped; three times as many lower its peak by 3 %
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """As many experiments as inputs, each of which shakes all inputs at once.
+    """Of each realisation of the phases as many experiments as inputs, all of which are shaken.
 
     In experiment e, input i is amplitude_i / peak times the sum over the harmonics h of
-    cos(2 pi h t / period + phase_h + 2 pi e i / m). So at every line the m experiments are
+    cos(2 pi h t / period + phase_ih + 2 pi e i / m). So at every line the m experiments are
     orthogonal: with the same peaks and in the same time, the variance of the estimate is an m-th of
     that with one input at a time (Dobrowiecki, Schoukens and Guillaume, Optimized excitation
     signals for MIMO frequency response function measurements, IEEE Trans. Instrum. Meas. 55,
-    2006).
+    2006). Other phases in the next realisation show what is not linear. The first period of each
+    experiment is left out: in it most of the transient decays.
     """
 
     Ts: float  # s
     period: int  # samples
     periods: int  # of each experiment that are evaluated
     harmonics: tuple[int, ...]  # of the period, increasing
-    phases: tuple[float, ...]  # of the harmonics, rad
+    phases: tuple[tuple[tuple[float, ...], ...], ...]  # rad, of (realisation, input, harmonic)
     amplitude: tuple[float, ...]  # largest |w| of each input, in the units of the outputs
 
     def __post_init__(self):
         arguments.sampling_period("Ts", self.Ts)
         period = arguments.whole("period", self.period, 3)
-        arguments.whole("periods", self.periods, FEWEST)
+        arguments.whole("periods", self.periods, 2)
         arguments.array("harmonics", self.harmonics, ("line",))
         highest = 0
         for harmonic in self.harmonics:
             highest = arguments.whole("harmonics", harmonic, highest + 1, (period - 1) // 2)
-        phases = arguments.array("phases", self.phases, (len(self.harmonics),))
         amplitude = arguments.array("amplitude", self.amplitude, ("input",))
+        shape = ("realisation", len(amplitude), len(self.harmonics))
+        phases = arguments.array("phases", self.phases, shape)
+        arguments.whole("realisations", len(phases), FEWEST)
         if amplitude.min() <= 0:
             raise ValueError(f"amplitude = {amplitude} must be positive numbers")
         object.__setattr__(self, "harmonics", tuple(self.harmonics))
-        object.__setattr__(self, "phases", tuple(phases.tolist()))
+        rows = tuple(tuple(map(tuple, inputs)) for inputs in phases.tolist())
+        object.__setattr__(self, "phases", rows)
         object.__setattr__(self, "amplitude", tuple(amplitude.tolist()))
 
     @property
     def channels(self) -> int:
-        """Number of inputs, and of experiments."""
+        """Number of inputs, and of experiments of each realisation."""
         return len(self.amplitude)
+
+    @property
+    def experiments(self) -> int:
+        """Of all realisations."""
+        return self.channels * len(self.phases)
 
     @property
     def omega(self) -> np.ndarray:
@@ -74,23 +82,23 @@ class Excitation:
     @property
     def samples(self) -> int:
         """Samples of each experiment."""
-        return self.evaluated + _lead(self.period)
+        return self.evaluated + self.period
 
     @property
     def hours(self) -> float:
         """What all experiments take together."""
-        return self.channels * self.samples * self.Ts / 3600
+        return self.experiments * self.samples * self.Ts / 3600
 
     @cached_property
     def signals(self) -> np.ndarray:
         """The signal w of each experiment, shape (experiment, time, input)."""
-        m = self.channels
-        envelope = _envelope(self.phases, self.harmonics, self.period)
-        turns = np.exp(2j * np.pi * np.outer(np.arange(m), np.arange(m)) / m)
-        waves = np.real(turns[:, None, :] * envelope[:, None])
-        waves *= np.array(self.amplitude) / np.abs(waves).max()
-        time = np.arange(-_lead(self.period), self.evaluated) % self.period
-        return waves[:, time]
+        envelopes = _envelopes(np.array(self.phases), self.harmonics, self.period)
+        experiment = np.arange(self.channels)
+        turns = np.exp(2j * np.pi * np.outer(experiment, experiment) / self.channels)
+        waves = np.real(np.einsum("ei,rit->reti", turns, envelopes))
+        waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
+        waves = waves.reshape(self.experiments, self.period, self.channels)
+        return np.tile(waves, (1, self.periods + 1, 1))
 
     @property
     def crest(self) -> float:
@@ -100,15 +108,23 @@ class Excitation:
 
     def __repr__(self):
         return (
-            f"{self.channels} experiments of {self.periods} + {LEAD} periods of "
-            f"{self.period * self.Ts:.6g} s, {self.hours:.3g} h in all; {len(self.harmonics)} "
+            f"{len(self.phases)} realisations of {self.channels} experiments of 1 + {self.periods} "
+            f"periods of {self.period * self.Ts:.6g} s, {self.hours:.3g} h; {len(self.harmonics)} "
             f"lines from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s, crest factor "
             f"{self.crest:.2f}"
         )
 
 
 def multisine(
-    loop: Loop, lowest: float, highest: float, amplitude, hours: float, lines: int = 40
+    loop: Loop,
+    lowest: float,
+    highest: float,
+    amplitude,
+    hours: float,
+    lines: int = 40,
+    *,
+    realisations: int | None = None,
+    seed: int = 0,
 ) -> Excitation:
     """An excitation for a loop: as many periods as fit into the time, lines all over the band.
 
@@ -126,6 +142,11 @@ def multisine(
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
+    realisations : int, optional
+        Of random phases, which show what of the loop is not linear. Default: as many as the time
+        allows for, if two periods of each are evaluated, but no more than 10.
+    seed : int
+        Of the random numbers from which the phases with low peaks are found.
 
     See Also
     --------
@@ -153,13 +174,19 @@ def multisine(
     amplitude = np.broadcast_to(amplitude, (m,))
     hours = arguments.positive("hours", hours, "a positive number of hours")
     lines = arguments.whole("lines", lines, 2)
+    seed = arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
-    needed = m * (FEWEST * period + _lead(period)) * Ts / 3600
-    periods = int((hours * 3600 / (m * Ts) - _lead(period)) // period)
-    if periods < FEWEST:
+    available = int(hours * 3600 / (m * Ts * period))  # periods, of one input
+    if realisations is None:
+        realisations = np.clip(available // 3, FEWEST, MOST)
+    realisations = arguments.whole("realisations", realisations, FEWEST)
+    periods = available // realisations - 1
+    if periods < 2:
+        needed = 3 * realisations * m * period * Ts / 3600
         raise ValueError(
-            f"hours = {hours:g} is too short for {FEWEST} periods of the lowest frequency in {m} "
-            f"experiment(s): {needed:.4g} h are needed, or lowest = {lowest * needed / hours:.3g}"
+            f"hours = {hours:g} is too short for 3 periods of the lowest frequency in each of "
+            f"{realisations} realisations of {m} experiments: {needed:.4g} h are needed, or "
+            f"lowest = {lowest * needed / hours:.3g}"
         )
     if hours > LONGEST or (hours > 24 and periods > MANY):
         warnings.warn(
@@ -169,38 +196,32 @@ def multisine(
         )
     top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
     harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
-    phases = _phases_of_low_peaks(harmonics, m)
-    return Excitation(Ts, period, periods, harmonics, phases.tolist(), amplitude.tolist())
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (realisations, m, len(harmonics)))
+    phases = _with_low_peaks(phases, harmonics, m).tolist()
+    return Excitation(Ts, period, periods, harmonics, phases, amplitude.tolist())
 
 
-def _lead(period):
-    return int(np.ceil(LEAD * period))
-
-
-def _envelope(phases, harmonics, period):
-    """The sum of exp(j (2 pi h t / period + phase)) over a period."""
-    spectrum = np.zeros(period, complex)
-    spectrum[list(harmonics)] = np.exp(1j * np.array(phases))
+def _envelopes(phases, harmonics, period):
+    """The sums of exp(j (2 pi h t / period + phase)) over a period, (..., time)."""
+    spectrum = np.zeros((*phases.shape[:-1], period), complex)
+    spectrum[..., list(harmonics)] = np.exp(1j * phases)
     return period * np.fft.ifft(spectrum)
 
 
-def _phases_of_low_peaks(harmonics, m):
-    """Phases for which none of the m turns has high peaks."""
+def _with_low_peaks(phases, harmonics, m):
+    """Phases (..., harmonic) from others on, for which none of the m turns has high peaks."""
     # The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
     # Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
-    # swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988), from Schroeder's phases on.
+    # swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988).
     period = next_fast_len(8 * harmonics[-1])
-    count = np.arange(1, len(harmonics) + 1)
-    best = phases = -np.pi * count * (count - 1) / len(harmonics)
     turns = np.exp(2j * np.pi * np.arange(m) / m)
-    lowest, rounds = np.inf, min(500, POINTS // period)
-    for k in range(rounds):
-        waves = np.real(turns[:, None] * _envelope(phases, harmonics, period))
-        peak = np.abs(waves).max()
-        if peak < lowest:
-            best, lowest = phases, peak
-        limit = (0.6 + 0.4 * k / rounds) * peak
-        clipped = np.fft.fft(np.clip(waves[k % m], -limit, limit))[harmonics]
+    best, lowest = phases, np.full((*phases.shape[:-1], 1), np.inf)
+    for k in range(CLIPPED):
+        waves = np.real(turns[:, None] * _envelopes(phases, harmonics, period)[..., None, :])
+        peak = np.abs(waves).max(axis=(-2, -1))[..., None]
+        best, lowest = np.where(peak < lowest, phases, best), np.minimum(peak, lowest)
+        limit = (0.6 + 0.4 * k / CLIPPED) * peak
+        clipped = np.fft.fft(np.clip(waves[..., k % m, :], -limit, limit))[..., harmonics]
         phases = np.angle(clipped / turns[k % m])
     return best
 

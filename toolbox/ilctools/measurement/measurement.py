@@ -5,7 +5,6 @@ The notes of :func:`measured_response` state the methods.
 
 import reprlib
 import warnings
-from dataclasses import dataclass, replace
 from os import PathLike
 
 import control
@@ -17,101 +16,18 @@ from ilctools import arguments
 from ilctools.errors import LogError
 from ilctools.law.notes import limits_of, loop_of
 from ilctools.logs.format import few
-from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import excitation_of
-from ilctools.measurement.plausibility import findings_of
+from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.measurement.record import check_moved
-from ilctools.measurement.region import radius_of
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
-from ilctools.measurement.transient import separated, windows_of
-from ilctools.response.measured import Measured, interpolated
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
 
-@dataclass(frozen=True, repr=False)
-class MeasuredResponse(Measured):
-    """The frequency response from w to y as measured, and how far off it may be.
-
-    At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
-    independent, complex and normal with variance one. `noise` estimates C with `freedom` complex
-    degrees of freedom.
-    """
-
-    omega: np.ndarray  # rad/s, shape (n,)
-    response: np.ndarray  # shape (n, m, m), complex
-    noise: np.ndarray  # covariance of the outputs' spectra, without transient, likewise
-    spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
-    freedom: np.ndarray  # shape (n,)
-    loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
-    # what speaks against the measurement, and what follows
-    findings: tuple[str, ...] = ()
-
-    def _radius(self, confidence, jointly):
-        miss = _miss(confidence, jointly, len(self.omega))
-        return radius_of(self.noise, self.spread, self.freedom, miss)
-
-    def _on(self, omega, confidence):
-        """Splined, at negative frequencies as well, and I at zero if that is known of the loop.
-
-        The radius is that of the neighbours, interpolated linearly, and by how much the spline
-        differs from straight lines. Above the highest frequency the response is the one there, and
-        the radius contains all that is not larger.
-        """
-        radius, knots, P = (self.radius(confidence, jointly=True), self.omega, self.response)
-        both, P_both = (np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0))
-        if self.anchored:
-            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
-            both = np.insert(both, len(P), 0.0)
-            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
-        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
-        beyond = omega > knots[-1] * (1 + 1e-9)
-        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
-        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
-
-    @property
-    def anchored(self) -> bool:
-        """Whether P(0) = I is known of the loop: its observer integrates."""
-        return isinstance(self.loop, CurrentTrialLoop)
-
-    def _scaled(self, scale):
-        return replace(
-            self,
-            response=self.response * scale / scale[:, None],
-            noise=self.noise / scale / scale[:, None],
-            spread=self.spread * scale,
-        )
-
-    def _basis(self, omega, confidence):
-        low, high = self.omega[[0, -1]]
-        beyond = np.count_nonzero(omega > high * (1 + 1e-9))
-        lines = [
-            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
-            f"all of them the truth is within the radius with confidence {confidence:g}",
-            "assumed: between them P is not further from their spline than straight lines are; "
-            + ("P(0) = I" if self.anchored else f"nor below {low:.4g} rad/s"),
-        ]
-        if beyond:
-            lines.append(
-                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
-                "larger than there"
-            )
-        return lines
-
-    def __repr__(self):
-        radius = self.radius()
-        lines = [
-            f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
-            f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
-            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
-        ]
-        return "\n".join([*lines, *self.findings])
-
-
 def measured_response(
     log, of: str | None = None, uncertainty=None, *, gain=None, delay=None
-) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
+) -> ExcitedResponse | EstimatedResponse | TabulatedResponse:
     """Make a measured response, with the region in which the truth lies, of what there is.
 
     Parameters
@@ -136,7 +52,7 @@ def measured_response(
 
     Returns
     -------
-    MeasuredResponse, EstimatedResponse or TabulatedResponse
+    ExcitedResponse, EstimatedResponse or TabulatedResponse
         For :func:`synthesise`, if it has as many inputs as outputs, and checks. An estimate has
         ``check(log)``, against a record that it was not made of, ``model()``, ``frd()`` and
         ``plot()``.
@@ -180,22 +96,11 @@ def measured_response(
     joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
     only, and else on u(t), too.
 
-    Shaken, the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
-    the state at the start and at the end, and the noise V are left. This is the local
-    polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
-    Estimation of nonparametric noise and FRF models for multivariable systems - Part I: Theory,
-    Mech. Syst. Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
-    1 / (1 - p / z), where p is the slowest pole of the loop as designed. So a slow transient is
-    one, too, as with the local rational method (McKelvey and Guérin, Non-parametric frequency
-    response estimation using a local rational model, SYSID 2012), and the estimate stays linear in
-    the data. Noise is taken to be stationary, and to differ between neighbouring lines as white
-    noise of the sensors does behind the loop as designed: below its bandwidth the loop takes noise
-    away, a little above it adds some, within a few lines. What enters there with another shape is
-    estimated less well. With 99 % for all of 42 lines together, from 1.9e-3 rad/s on, the paper's
-    loop on a rod of other parameters covers 98.9 % of 2000 truths, and 98.8 % of 600 with noise
-    that lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
-    hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
-    not cover.
+    Shaken, P is the best linear approximation by the robust method: periods show the noise,
+    realisations of the phases the noise and what is not linear, and the radius has both; see
+    :mod:`ilctools.measurement.excited`. The first period of each experiment is left out. On three
+    plants behind w + c w^3, c from 0 to 1, at most 5 % of the lines were outside their radius of
+    95 %, with two realisations and with six.
 
     Examples
     --------
@@ -240,12 +145,8 @@ def measured_response(
     elif loop is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:
-        w, y = _signals(log, excitation)
-        windows = windows_of(excitation.harmonics, excitation, loop)
-        measured = _estimate(w, y, windows, excitation, loop)
         u, limits = log.get("u", log.v).values, limits_of(log)
-        texts = findings_of(u, y, limits, windows, excitation, measured)
-        measured = replace(measured, findings=texts)
+        measured = excited_response(*_signals(log, excitation), u, limits, excitation, loop)
     return _warned(measured)
 
 
@@ -256,18 +157,13 @@ def _warned(measured):
     return measured
 
 
-def _miss(confidence, jointly, count):
-    """Probability that the truth lies outside at one of `count` frequencies."""
-    return 1 - (confidence ** (1 / count) if jointly else confidence)
-
-
 def _signals(log, excitation):
     """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
-    m, shaken = excitation.channels, excitation.signals
-    if log.trial.values.tolist() != list(range(1, m + 1)):
+    shaken = excitation.signals
+    if log.trial.values.tolist() != list(range(1, len(shaken) + 1)):
         raise LogError(
-            f"log has the experiments {few(log.trial.values.tolist())} of {m}: go on with shake "
-            "and the same path"
+            f"log has the experiments {few(log.trial.values.tolist())} of {len(shaken)}: go on "
+            "with shake and the same path"
         )
     w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
     off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
@@ -277,11 +173,3 @@ def _signals(log, excitation):
     y = arguments.array("log.y", log.y.values, shaken.shape)
     check_moved([y], log.output.values, "log.y", "is it connected?")
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
-
-
-def _estimate(w, y, windows, excitation, loop):
-    """The response from the signals (experiment, time, channel), before it is judged."""
-    W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
-    spread = np.linalg.inv(np.moveaxis(W, 0, 2))  # (line, experiment, input)
-    net, noise, freedom = separated(y, windows)
-    return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)

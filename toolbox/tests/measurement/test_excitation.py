@@ -14,7 +14,7 @@ from ilctools.measurement.excitation import Excitation
 @given(
     lowest=st.floats(5e-3, 0.05),
     decades=st.floats(0.3, 1.5),
-    periods=st.floats(3.3, 9),
+    periods=st.floats(6.1, 20),
     amplitude=st.floats(0.1, 10),
     lines=st.integers(2, 40),
 )
@@ -23,44 +23,75 @@ def test_any_excitation_keeps_what_it_promises(lowest, decades, periods, amplitu
     hours = 2 * periods * 2 * np.pi / lowest / 3600 * 1.01
     excitation = multisine(loop, lowest, lowest * 10**decades, amplitude, hours, lines)
     w = excitation.signals
-    assert w.shape == (2, excitation.samples, 2) and excitation.hours <= hours
-    assert np.abs(w).max() == pytest.approx(amplitude)
+    realisations = len(excitation.phases)
+    assert w.shape == (2 * realisations, excitation.samples, 2) and excitation.hours <= hours
+    peaks = np.abs(w).reshape(realisations, -1).max(axis=1)
+    np.testing.assert_allclose(peaks, amplitude)
     np.testing.assert_allclose(w[:, excitation.period :], w[:, : -excitation.period], atol=1e-9)
-    W = np.fft.rfft(w[:, -excitation.period :], axis=1).transpose(1, 2, 0)
-    excited = np.flatnonzero(np.abs(W).max(axis=(1, 2)) > 1e-9 * np.abs(W).max())
+    W = np.fft.rfft(w[:, -excitation.period :], axis=1).reshape(realisations, 2, -1, 2)
+    W = W.transpose(0, 2, 3, 1)  # (realisation, frequency, input, experiment)
+    excited = np.flatnonzero(np.abs(W).max(axis=(0, 2, 3)) > 1e-9 * np.abs(W).max())
     np.testing.assert_allclose(
         2 * np.pi * excited / (excitation.period * loop.Ts), excitation.omega
     )
     assert excitation.omega[-1] <= lowest * 10**decades * (1 + 1e-3)
-    values = np.linalg.svd(W[excited], compute_uv=False)  # all directions alike
-    np.testing.assert_allclose(values, values[0, 0], rtol=1e-6)
+    values = np.linalg.svd(W[:, excited], compute_uv=False)  # all directions alike
+    np.testing.assert_allclose(values, values[:, :1, :1] + 0 * values, rtol=1e-6)
 
 
 def test_peaks_are_low(loop):
-    excitation = multisine(loop, 2e-3, 0.3, 2.0, 6)
-    rng = np.random.default_rng(0)
-    n = len(excitation.harmonics)
-    phases = rng.uniform(0, 2 * np.pi, (50, n))
-    others = [replace(excitation, phases=row).crest for row in phases]
-    assert excitation.crest < 0.85 * min(others) and excitation.crest < 2
+    excitation = multisine(loop, 4e-3, 0.3, 2.0, 6)
+    phases = np.random.default_rng(0).uniform(0, 2 * np.pi, (50, *np.shape(excitation.phases)))
+    others = [replace(excitation, phases=draw).crest for draw in phases]
+    assert excitation.crest < 0.75 * min(others) and excitation.crest < 1.8
 
 
-GOOD = Excitation(1.0, 100, 4, harmonics=[1, 3], phases=[0, 1.0], amplitude=[2.0])
+def test_realisations_are_as_many_as_the_time_allows_or_as_asked_and_phases_those_of_a_seed(loop):
+    def of(hours, **asked):
+        excitation = multisine(loop, 0.02, 0.3, 1.0, hours, 5, **asked)
+        return len(excitation.phases), excitation.periods
+
+    hour = 2 * round(2 * np.pi / 0.02) / 3600  # a period of both inputs
+    found = [of(n * hour * 1.001) for n in (6, 8, 9, 31, 40)]
+    assert found == [(2, 2), (2, 3), (3, 2), (10, 2), (10, 3)]
+    assert of(10 * hour * 1.001, realisations=2) == (2, 4)
+    one, same, other = (multisine(loop, 0.02, 0.3, 1.0, 1.2, 5, seed=k).phases for k in (0, 0, 1))
+    assert one == same != other
+    with pytest.raises(ValueError, match="each of 4 realisations of 2 experiments: 2"):
+        multisine(loop, 0.02, 0.3, 1.0, 1.2, 5, realisations=4)
+
+
+GOOD = Excitation(1.0, 100, 4, [1, 3], phases=[[[0, 1.0]], [[2.0, 3.0]]], amplitude=[2.0])
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("lowest", 0), ("highest", 4.0), ("hours", 0.1), ("lines", 1)]
+    ("name", "value"),
+    [
+        ("lowest", 0),
+        ("highest", 4.0),
+        ("hours", 0.1),
+        ("lines", 1),
+        ("realisations", 1),
+        ("seed", -1),
+    ],
 )
 def test_an_excitation_that_cannot_be_is_refused(loop, name, value):
-    asked = {"lowest": 0.02, "highest": 0.5, "amplitude": 1.0, "hours": 1.0}
+    asked = {"lowest": 0.02, "highest": 0.5, "amplitude": 1.0, "hours": 1.1}
     with pytest.raises(ValueError, match=name):
         multisine(loop, **asked | {name: value})
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("harmonics", [3, 1]), ("harmonics", [1, 50]), ("phases", [0.0]), ("periods", 2)],
+    [
+        ("harmonics", [3, 1]),
+        ("harmonics", [1, 50]),
+        ("phases", [[[0.0]]]),
+        ("realisations", [[[0.0, 1.0]]]),
+        ("periods", 1),
+    ],
 )
 def test_a_note_of_an_excitation_that_cannot_be_is_refused(name, value):
+    field = "phases" if name == "realisations" else name
     with pytest.raises(ValueError, match=name):
-        replace(GOOD, **{name: value})
+        replace(GOOD, **{field: value})

@@ -97,7 +97,7 @@ REFUSED = {  # what the error names, and a call
     ),
     "amplitudes": ("amplitude = ", lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2)),
     "too few hours": (
-        "hours = 1.2 is too short .* lowest = 0.0142",
+        "hours = 1.2 is too short .* lowest = 0.0262",
         lambda: multisine(TANKS, 0.01, 1.0, [1, 1, 1], 1.2),
     ),
     "outputs in another order, to check": (

@@ -1,0 +1,282 @@
+"""P of an excited rig by the robust method, and how far off it may be.
+
+Of period p of realisation r of the phases, at a line, W_r and Y_rp are the spectra of the m
+experiments, (input, experiment) and (output, experiment). With R realisations of N periods,
+
+    G_rp = Y_rp W_r^-1,    G_r = mean of G_rp over p,    P = mean of G_r over r,                (1)
+    noise^2 = sum_rp ||G_rp - G_r||^2 / (R^2 N (N - 1)),                                        (2)
+    error^2 = sum_r ||G_r - P||^2 / (R (R - 1))                                                 (3)
+
+in Frobenius norms: periods differ by noise alone, realisations also by what a loop that is not
+linear answers to other phases (R. Pintelon and J. Schoukens, System Identification, 2012, section
+4.3.1). P is the best linear approximation, the one that depends on no phases.
+
+*Variance.* The noise of (2) and (3) is that of gamma distributions; their logarithms are smoothed
+by straight lines over that of the frequency, through the nearest lines, where (2), and (3) relative
+to (2) and a share of P: so it may have the same resonances.
+
+*Radius.* With d independent entries of P that err, ||Delta||^2 / error^2, in the Frobenius norm,
+which is no less than the largest singular value, has an F distribution of 2 d and 2 f degrees of
+freedom. The trace of the covariance of the entries and that of its square determine d (F. E.
+Satterthwaite, Biometrics Bulletin 2 (1946) 110-114); f is that of the smoothed variance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.special import fdtri, polygamma, psi
+
+from ilctools.law.limits import commands_beyond
+from ilctools.loop.closed import CurrentTrialLoop, Loop
+from ilctools.measurement.excitation import Excitation
+from ilctools.response.measured import Measured, interpolated
+
+# Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
+# radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
+NEAR = 8
+DRIFT = 3.0  # standard deviations without drift, from which one is reported
+SIGNIFICANCE = 1e-3  # probability of a false report
+TOLERANCE = 1.2  # of a radius: half of the lines must predict more than all of them
+ROUNDING = 1e-14  # of P: what is less is no error but that of numbers
+
+
+@dataclass(frozen=True, repr=False)
+class ExcitedResponse(Measured):
+    """The best linear approximation from w to y as measured, and how far off it may be."""
+
+    omega: np.ndarray  # rad/s, shape (n,)
+    periods: np.ndarray  # G_rp, shape (realisation, period, n, m, m), complex
+    loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
+    # what speaks against the measurement, and what follows
+    findings: tuple[str, ...] = ()
+
+    @property
+    def realisations(self) -> np.ndarray:
+        """The response to each realisation of the phases, shape (realisation, n, m, m)."""
+        return self.periods.mean(axis=1)  # G_r, (1)
+
+    @property
+    def response(self) -> np.ndarray:
+        """Their mean, shape (n, m, m)."""
+        return self.realisations.mean(axis=0)  # P, (1)
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Standard deviation of P by noise alone, shape (n,), in the Frobenius norm."""
+        R, N = self.periods.shape[:2]
+        off = self.periods - self.realisations[:, None]
+        return np.sqrt(self._smoothed(off, R * (N - 1))[0] / (R * N))  # (2)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Likewise, by noise and by what is not linear."""
+        return np.sqrt(self._error()[0])
+
+    @property
+    def distortion(self) -> np.ndarray:
+        """Likewise, by what is not linear alone."""
+        return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
+
+    def _error(self):
+        """Its square, d and f."""
+        R, noise = len(self.realisations), self.noise**2
+        off = self.realisations - self.response
+        size = np.linalg.norm(self.response, axis=(1, 2)) ** 2
+        distortion = np.sum(np.abs(off) ** 2) / (R * (R - 1)) - noise.sum()
+        shape = noise + max(distortion, 0) / size.sum() * size
+        square, d, f = self._smoothed(off, R - 1, shape)
+        return square / R, d, f  # (3)
+
+    def _smoothed(self, off, freedom, shape=1.0):
+        """Variance at each line (n,) of matrices (..., n, m, m) about means, d, and f (n,).
+
+        Smoothed is its ratio to a `shape`.
+        """
+        least = (ROUNDING * np.linalg.norm(self.response, axis=(1, 2))) ** 2 + 1e-300
+        off = off.reshape(-1, *self.response.shape)
+        power = np.sum(np.abs(off) ** 2, axis=(0, 2, 3)) / freedom
+        shape = np.maximum(shape, least)
+        weights = self._straight()
+        mean = np.exp(weights @ np.log(np.maximum(power, least) / shape)) * shape
+        near = (weights != 0) * 1.0
+        left, _, right = np.linalg.svd(self.response)
+        turned = (left @ right).conj().swapaxes(1, 2) @ off  # errors turn from line to line as P
+        d = _directions(turned / np.sqrt(mean)[:, None, None], near, freedom)
+        a = freedom * d  # of the gamma distribution of the power
+        f = 1 / (polygamma(1, a) * np.sum(weights**2, axis=1)) + 0.5
+        return mean * a / np.exp(psi(a)), d, f
+
+    def _straight(self):
+        """Weights of the values at the lines for the straight line through the nearest, (n, n)."""
+        x, n = np.log(self.omega), len(self.omega)
+        count = max(3, 1 + NEAR // (len(self.periods) - 1))
+        weights = np.zeros((n, n))
+        for k in range(n):
+            first = np.clip(k - count // 2, 0, max(n - count, 0))
+            near = slice(first, first + count)
+            weights[k, near] = np.linalg.pinv(np.vander(x[near] - x[k], 2))[1]
+        return weights
+
+    def _radius(self, confidence, jointly):
+        miss = 1 - (confidence ** (1 / len(self.omega)) if jointly else confidence)
+        square, d, f = self._error()
+        return np.sqrt(square * fdtri(2 * d, 2 * f, 1 - miss))
+
+    def _on(self, omega, confidence):
+        """Splined, at negative frequencies as well, and I at zero if that is known of the loop.
+
+        The radius is that of the neighbours, interpolated linearly, and by how much the spline
+        differs from straight lines. Above the highest frequency the response is the one there, and
+        the radius contains all that is not larger.
+        """
+        radius, knots, P = (self.radius(confidence, jointly=True), self.omega, self.response)
+        both, P_both = (np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0))
+        if self.anchored:
+            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
+            both = np.insert(both, len(P), 0.0)
+            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
+        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
+        beyond = omega > knots[-1] * (1 + 1e-9)
+        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
+        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether P(0) = I is known of the loop: its observer integrates."""
+        return isinstance(self.loop, CurrentTrialLoop)
+
+    def _scaled(self, scale):
+        return replace(self, periods=self.periods * scale / scale[:, None])
+
+    def _basis(self, omega, confidence):
+        low, high = self.omega[[0, -1]]
+        beyond = np.count_nonzero(omega > high * (1 + 1e-9))
+        lines = [
+            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
+            f"all of them the truth is within the radius with confidence {confidence:g}",
+            "assumed: between them P is not further from their spline than straight lines are; "
+            + ("P(0) = I" if self.anchored else f"nor below {low:.4g} rad/s"),
+        ]
+        if beyond:
+            lines.append(
+                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
+                "larger than there"
+            )
+        return lines
+
+    def __repr__(self):
+        radius = self.radius()
+        lines = [
+            f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
+            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
+            f"standard deviation {np.median(self.error):.2g} in the median, of which noise "
+            f"{np.median(self.noise):.2g} and what is not linear {np.median(self.distortion):.2g}",
+        ]
+        return "\n".join([*lines, *self.findings])
+
+
+def _directions(off, near, freedom):
+    """Independent entries, 1/2 (a real one) to all, of errors (..., n, m, m) of about one size."""
+    parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off[0, 0].size)
+    C = np.tensordot(near, np.einsum("rki,rkj->kij", parts, parts), 1)
+    square, squares = np.trace(C, axis1=1, axis2=2) ** 2, np.linalg.norm(C, axis=(1, 2)) ** 2
+    nu = freedom * near.sum(axis=1)  # which, being few, alone make both larger
+    below = (squares - square / nu) / (1 + 2 / nu) / np.maximum(1 - 1 / nu, 1e-9)
+    above = square - 2 * below / nu
+    return float(np.clip(above.sum() / max(below.sum(), 1e-300), 1, parts.shape[-1])) / 2
+
+
+def excited_response(w, y, u, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
+    """From signals of all periods that are evaluated, (experiment, time, channel)."""
+    W, Y = (_spectra(signal, excitation) for signal in (w, y))
+    periods = Y @ np.linalg.inv(W)  # (1)
+    measured = ExcitedResponse(excitation.omega, periods, loop)
+    findings = (
+        _beyond_limits(u, loop.controls, limits),
+        _drift(y, W, excitation, measured),
+        _far_from_identity(measured),
+        _sparse(measured),
+    )
+    return replace(measured, findings=tuple(text for text in findings if text))
+
+
+def _spectra(signal, excitation):
+    """At the lines, shape (realisation, period, n, channel, experiment)."""
+    m = excitation.channels
+    parts = signal.reshape(-1, m, excitation.periods, excitation.period, m)
+    lines = np.fft.rfft(parts, axis=3)[:, :, :, list(excitation.harmonics)]
+    return np.moveaxis(lines, 1, -1)
+
+
+def _beyond_limits(u, controls, limits):
+    """Commands that the actuators did not follow."""
+    beyond = commands_beyond(u, controls, limits)
+    return beyond and (
+        f"{beyond}: what was measured is not the loop, and the radius does not contain that. Shake "
+        "with a smaller amplitude"
+    )
+
+
+def _drift(y, W, excitation, measured):
+    """Whether the means drift from period to period by more than noise explains."""
+    m, period = excitation.channels, excitation.period
+    means = y.reshape(len(y), excitation.periods, period, m).mean(axis=2)
+    number = np.arange(excitation.periods) - (excitation.periods - 1) / 2
+    slope = np.einsum("p,epj->ej", number, means) / np.sum(number**2)
+    ramp = slope[:, None] * np.arange(y.shape[1])[:, None] / period
+    by_ramp = _spectra(ramp, excitation) @ np.linalg.inv(W)
+    error = np.linalg.norm(by_ramp.mean(axis=(0, 1)), axis=(1, 2))
+    noise = replace(measured, periods=measured.periods - by_ramp).noise
+    worst = np.argmax(error / np.maximum(noise, 1e-300))
+    if error[worst] <= DRIFT * noise[worst]:
+        return None
+    output = np.abs(slope).max(axis=0).argmax()
+    hourly = np.abs(slope[:, output]).max() / (period * excitation.Ts) * 3600
+    return (
+        f"{measured.loop.outputs[output]} drifts by {hourly:.3g} an hour: P is off by about "
+        f"{error[worst]:.2g} at {measured.omega[worst]:.3g} rad/s, and the radius is larger for "
+        "it. Wait until the rig is warm or has settled, or shake at higher frequencies"
+    )
+
+
+def _far_from_identity(measured):
+    """Whether P, where it is I at zero, is far from it at the lowest frequency."""
+    if not measured.anchored:
+        return None
+    P = measured.response[0]
+    distance = np.linalg.norm(P - np.eye(len(P)), 2)
+    if distance <= 1:
+        return None
+    return (
+        f"P differs from I by {distance:.2g} at the lowest frequency, {measured.omega[0]:.3g} "
+        "rad/s: between it and zero, P is not known. Shake at lower frequencies, or design above"
+    )
+
+
+def _sparse(measured):
+    """Whether every other line predicts those between, within the radius that it claims."""
+    n = len(measured.omega)
+    number = np.arange(n)
+    ends = (number == 0) | (number == n - 1)
+    own_radius = measured.radius(1 - SIGNIFICANCE, jointly=True)
+    worst, text = 0.0, None
+    for odd in (0, 1):
+        chosen = ends | (number % 2 == odd)
+        half = replace(
+            measured, omega=measured.omega[chosen], periods=measured.periods[:, :, chosen]
+        )
+        predicted, radius = half.on(measured.omega, 1 - SIGNIFICANCE)
+        radius = maximum_filter1d(radius, 5)  # small by itself where P hardly bends
+        error = np.linalg.norm(predicted - measured.response, 2, axis=(1, 2))
+        excess = error - TOLERANCE * (radius + own_radius)
+        k = excess.argmax()
+        if excess[k] > worst:
+            worst = excess[k]
+            text = (
+                f"lines are too far apart near {measured.omega[k]:.3g} rad/s: from every other one "
+                f"P would be off by {error[k]:.2g} there, with a radius of {radius[k]:.2g}; "
+                "between those that there are, the radius may be as wrong. Shake with more lines"
+            )
+    return text
