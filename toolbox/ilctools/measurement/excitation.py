@@ -172,33 +172,38 @@ def multisine(
             f"outputs {loop.outputs}"
         )
     amplitude = np.broadcast_to(amplitude, (m,))
-    hours = arguments.positive("hours", hours, "a positive number of hours")
-    lines = arguments.whole("lines", lines, 2)
-    seed = arguments.whole("seed", seed, 0)
+    lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
-    available = int(hours * 3600 / (m * Ts * period))  # periods, of one input
-    if realisations is None:
-        realisations = np.clip(available // 3, FEWEST, MOST)
-    realisations = arguments.whole("realisations", realisations, FEWEST)
-    periods = available // realisations - 1
-    if periods < 2:
-        needed = 3 * realisations * m * period * Ts / 3600
-        raise ValueError(
-            f"hours = {hours:g} is too short for 3 periods of the lowest frequency in each of "
-            f"{realisations} realisations of {m} experiments: {needed:.4g} h are needed, or "
-            f"lowest = {lowest * needed / hours:.3g}"
-        )
-    if hours > LONGEST or (hours > 24 and periods > MANY):
-        warnings.warn(
-            f"hours = {hours:g} are {hours / 24:.3g} days, {periods} periods of the lowest "
-            f"frequency: likely seconds, which are {hours / 3600:.3g} h",
-            stacklevel=2,
-        )
+    realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
     top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
     harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (realisations, m, len(harmonics)))
     phases = _with_low_peaks(phases, harmonics, m).tolist()
     return Excitation(Ts, period, periods, harmonics, phases, amplitude.tolist())
+
+
+def _divided(hours, one, realisations, lowest):
+    """Realisations, and periods of each that are evaluated; `one`: hours of a period of all m."""
+    hours = arguments.positive("hours", hours, "a positive number of hours")
+    available = int(hours / one)
+    if realisations is None:
+        realisations = np.clip(available // 3, FEWEST, MOST)
+    realisations = arguments.whole("realisations", realisations, FEWEST)
+    periods = available // realisations - 1
+    if periods < 2:
+        needed = 3 * realisations * one
+        raise ValueError(
+            f"hours = {hours:g} is too short for 3 periods of the lowest frequency in "
+            f"{realisations} realisations of one experiment for each input: {needed:.4g} h are "
+            f"needed, or lowest = {lowest * needed / hours:.3g}"
+        )
+    if hours > LONGEST or (hours > 24 and available > MANY):
+        warnings.warn(
+            f"hours = {hours:g} are {hours / 24:.3g} days, {available} periods of the lowest "
+            f"frequency: likely seconds, which are {hours / 3600:.3g} h",
+            stacklevel=3,
+        )
+    return realisations, periods
 
 
 def _envelopes(phases, harmonics, period):

@@ -84,7 +84,8 @@ class Measured:
     def plot(self) -> Figure:
         """Draw gain and phase of each entry of P, and their joint region of 99 %.
 
-        Two rows for each output; shaded gray where P is not identified.
+        Two rows for each output; shaded gray where P is not identified. Of an excited rig also the
+        standard deviations of P by noise and by what is not linear.
 
         Returns
         -------
@@ -94,26 +95,34 @@ class Measured:
         figure = Figure(figsize=(3.2 * m, 4 * p), layout="constrained")
         axes = figure.subplots(2 * p, m, squeeze=False)
         radius = self.radius(CONFIDENCE, jointly=True)
-        sizes, known = np.abs(self.response), getattr(self, "known", np.ones(n, bool))
-        for (i, j), size in zip(np.ndindex(p, m), sizes.reshape(n, -1).T, strict=True):
+        known = getattr(self, "known", np.ones(n, bool))
+        # no logarithmic axis shows zero
+        floors = np.maximum(np.abs(self.response), 1e-5 * (np.abs(self.response).max() or 1)) / 10
+        for i, j in np.ndindex(p, m):
             gain, phase = axes[2 * i : 2 * i + 2, j]
-            floor, turned = size.min() / 10, np.unwrap(np.angle(self.response[:, i, j]))
-            if floor == 0:  # which no logarithmic axis shows
-                floor = 1e-6 * (sizes.max() or 1.0)
-                size = np.maximum(size, floor)
-            off = np.where(radius < size, np.arcsin(np.minimum(radius / size, 1)), np.pi)
-            band = np.maximum(size - radius, floor), size + radius
-            gain.loglog(self.omega, size)
-            gain.yaxis.set_minor_formatter(NullFormatter())
-            gain.set(title=f"{inputs[j]} to {outputs[i]}", ylabel="gain", ylim=(floor, None))
-            phase.semilogx(self.omega, np.degrees(turned))
+            self._draw(gain, phase, self.response[:, i, j], radius, floors[:, i, j].min())
+            gain.set(title=f"{inputs[j]} to {outputs[i]}", ylabel="gain")
             phase.set(xlabel="frequency (rad/s)", ylabel="phase (deg)")
-            lower, upper = np.degrees([turned - off, turned + off])
-            for ax, low, high in ((gain, *band), (phase, lower, upper)):
-                ax.fill_between(self.omega, low, high, alpha=0.3)
+            for ax in (gain, phase):
                 across = ax.get_xaxis_transform()
                 ax.fill_between(self.omega, 0, 1, ~known, color="0.9", transform=across)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
         return figure
+
+    def _draw(self, gain, phase, P, radius, floor):
+        """Gain and phase of one entry, (n,)."""
+        size, turned = np.maximum(np.abs(P), floor), np.unwrap(np.angle(P))
+        off = np.where(radius < size, np.arcsin(np.minimum(radius / size, 1)), np.pi)
+        gain.loglog(self.omega, size)
+        gain.fill_between(self.omega, np.maximum(size - radius, floor), size + radius, alpha=0.3)
+        for name, style in (("noise", "0.5"), ("distortion", "0.7")):
+            if hasattr(self, name):
+                gain.loglog(self.omega, getattr(self, name), color=style, label=name)
+                floor = None
+        gain.yaxis.set_minor_formatter(NullFormatter())
+        gain.set_ylim(floor)
+        phase.semilogx(self.omega, np.degrees(turned))
+        phase.fill_between(self.omega, *np.degrees([turned - off, turned + off]), alpha=0.3)
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
