@@ -6,14 +6,15 @@ The plants P of a problem, in whose place stands, at each frequency omega, one o
 
 a gain g, a delay of d more samples, a plant slower by a in all, anything within a radius r: up to
 which g, d, a, r is sigma_max(Q (I - P L)) below one at all frequencies, for all plants?
-They are read off a grid that resolves the poles of P and L, of tables ten times as dense as it, by
-steps outwards to the first that fails, and bisection. In g and r sigma_max is convex, so that there
-is one limit; and one below g = 1 only if Q is above one somewhere. Phase margins of
-``control.stability_margins`` are those of a feedback loop, which v = Q (v + L e) is from trial to
-trial only.
+They are read off a grid that resolves the poles of P and L, of tables ten times as dense as it, but
+no denser than the curves of P and L ask for, by steps outwards to the first that fails, and
+bisection. In g and r sigma_max is convex, so that there is one limit; and one below g = 1 only if Q
+is above one somewhere. Phase margins of ``control.stability_margins`` are those of a feedback loop,
+which v = Q (v + L e) is from trial to trial only.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -27,6 +28,7 @@ TIMES = np.geomspace(1, 8, 25)
 RADII = np.append(0, np.geomspace(1e-3, 10, 13))  # of sigma_max(P) at the cut-off
 TURN = np.linspace(0, 2 * np.pi, 33)  # of the phase at the cut-off, by a delay
 HALVINGS = 14  # of a step: to 1e-5 of what it is
+EVEN = 3e-3  # step along the curves, of P in units of sigma_max(P) at the cut-off
 ONE = 1 + 1e-9  # what rounding makes of one
 
 
@@ -57,49 +59,58 @@ def _times(factor):
 
 def margins(problem: Problem, L) -> Margins:
     """Those of a filter, in units of `scale`, for all plants of a problem at once."""
-    response = problem.design.response
-    numbers, sampled = range(len(response.models)), response.sampled
-    times = DENSER if sampled else 1
-    omega = np.unique(np.concatenate([dense_grid(response, k, L, times) for k in numbers]))
-    omega = omega[(omega <= response.omega[-1]) | (not sampled)]
-    P = np.array([response.anywhere(k, omega)[0] for k in numbers])
-    Q, L = problem.lowpass.frequency_response(omega), L.frequency_response(omega)
-    P_at, Q_at, L_at = (
-        make_interp_spline(omega, X, axis=axis) for X, axis in ((P, 1), (Q, 0), (L, 0))
-    )
-    ends = omega[0], omega[-1]
-    size = np.linalg.norm(P_at(np.clip(problem.lowpass.cutoff, *ends))[0], 2)
-    samples = TURN / (problem.lowpass.cutoff * problem.Ts)
+    unit, omega, P, Q, L = _curves(problem, L)
+    P_at, Q_at, L_at = (make_interp_spline(omega, X) for X in (P, Q, L))
+    first, *_, last = omega
 
-    def sigma(P, Q=Q, L=L, radius=0.0):
-        M = convergence_matrix(P, Q, L)
-        rho_L = np.abs(Q)[:, None, None] * radius * L
-        return max(within_radius(each, rho_L, 1.0).max() for each in M)
+    def sigma(gain=1.0, delay=0.0, slower=1.0, radius=0.0):
+        at = np.union1d(omega, np.clip(omega / slower, first, last))
+        at = at[(slower * at <= last) | (not problem.response.sampled)]
+        turned = gain * np.exp(-1j * at * delay * problem.Ts)[:, None, None]
+        plants, Q, L = P_at(np.clip(slower * at, first, last)), Q_at(at), L_at(at)
+        rho_L = np.abs(Q)[:, None, None] * radius * unit * L
+        M = (convergence_matrix(turned * P, Q, L) for P in plants.swapaxes(0, 1))
+        return max(within_radius(M_k, rho_L, 1.0).max() for M_k in M)
 
-    def late(d):
-        return sigma(np.exp(-1j * omega * d * problem.Ts)[:, None, None] * P)
-
-    def slow(a):
-        at = np.union1d(omega, np.clip(omega / a, *ends))
-        at = at[(a * at <= ends[1]) | (not sampled)]
-        return sigma(P_at(np.clip(a * at, *ends)), Q_at(at), L_at(at))
-
+    limit, samples = partial(_limit, sigma), TURN / (problem.lowpass.cutoff * problem.Ts)
     return Margins(
-        (_limit(lambda g: sigma(g * P), [1, 0]), _limit(lambda g: sigma(g * P), GAINS)),
-        (_limit(lambda d: late(-d), samples), _limit(late, samples)),
-        (_limit(lambda a: slow(1 / a), TIMES), _limit(slow, TIMES)),
-        _limit(lambda r: sigma(P, radius=r * size), RADII),
+        (limit("gain", [1, 0]), limit("gain", GAINS)),
+        (abs(limit("delay", -samples)), limit("delay", samples)),
+        (1 / limit("slower", 1 / TIMES), limit("slower", TIMES)),
+        limit("radius", RADII),
     )
 
 
-def _limit(sigma, steps):
+def _curves(problem, L):
+    """The unit of P, and omega, P, Q, L even along P, Q L and Q exp(j omega d Ts)."""
+    response, cutoff = problem.design.response, problem.lowpass.cutoff
+    numbers, times = range(len(response.models)), DENSER if response.sampled else 1
+    omega = np.unique(np.concatenate([dense_grid(response, k, L, times) for k in numbers]))
+    omega = omega[omega <= response.omega[-1]]
+    P = np.stack([response.anywhere(k, omega)[0] for k in numbers], axis=1)
+    Q, L = problem.lowpass.frequency_response(omega), L.frequency_response(omega)
+    [at_cutoff], _ = response.anywhere(0, [np.clip(cutoff, omega[0], omega[-1])])
+    unit = np.linalg.norm(at_cutoff, 2) or 1.0
+    turn = Q * np.exp(1j * omega * TURN[-1] / cutoff)
+    curves = [X.reshape(len(omega), -1) for X in (P / unit, Q[:, None, None] * L * unit, turn)]
+    steps = np.linalg.norm(np.diff(np.hstack(curves), axis=0), axis=1)
+    _, even = np.unique(np.cumsum(steps) // EVEN, return_index=True)
+    even = np.unique([0, *even, len(steps)])
+    return unit, *(X[even] for X in (omega, P, Q, L))
+
+
+def _limit(sigma, change, steps):
     """How far from the first of some steps sigma stays below one; the last if there, too."""
+
+    def diverges(step):
+        return sigma(**{change: step}) >= ONE
+
     inside = outside = steps[0]
     for outside in steps:
-        if sigma(outside) >= ONE:
+        if diverges(outside):
             break
         inside = outside
     for _ in range(HALVINGS if outside != inside else 0):
         middle = (inside + outside) / 2
-        inside, outside = (middle, outside) if sigma(middle) < ONE else (inside, middle)
+        inside, outside = (inside, middle) if diverges(middle) else (middle, outside)
     return float(inside)
