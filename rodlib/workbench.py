@@ -217,7 +217,7 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
 def _draw_singular_values(rate, gain, design):
     problem, omega = design.problem, design.omega
     rate.plot(omega, design.sigma_M, color="black")
-    rate.plot(problem.band, [design.certificate.mean_M] * 2, color="black", linestyle=":")
+    rate.plot(problem.objective.band, [design.certificate.mean_M] * 2, color="black", linestyle=":")
     rate.axhline(problem.M_max, **BOUND)
     rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
     gain.plot(omega, design.sigma_L, color="black")

@@ -54,7 +54,7 @@ def optimum(problem):
         C = [cp.diag(cp.Variable(m)) for _ in range(problem.order)]
     subject_to, value, peak = [], 0, cp.Variable()
     equations, plant, frequency = {"U": [], "V": [], "N": []}, [], []
-    bound = peak if problem.objective == "peak" else M_max
+    bound = peak if problem.objective.kind == "peak" else M_max
 
     def named(kind, expression):
         variable = cp.Variable(expression.shape, complex=True)
@@ -75,7 +75,7 @@ def optimum(problem):
         q, L, t = problem.Q[i], response(omega), cp.Variable()
         M = [q * (np.eye(m) - P[i] @ L) for P in problem.plants]
         subject_to.append(at_most(named("U", M[0]), t * np.eye(m), t))
-        value += problem.weights[i] * t
+        value += problem.objective.weights[i] * t
         if problem.radius is None:
             subject_to.append(t <= bound)
         for k in others if problem.radius is None else [0, *others]:
@@ -87,7 +87,7 @@ def optimum(problem):
             corner = cp.diag(cp.hstack(shares))
             subject_to.append(at_most(named("N", G), corner, bound))
     subject_to += [equation for kind in equations.values() for equation in kind]
-    cost = peak if problem.objective == "peak" else value
+    cost = peak if problem.objective.kind == "peak" else value
     tiny = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
     program = cp.Problem(cp.Minimize(cost), subject_to)
     with warnings.catch_warnings(action="ignore"):  # "may be inaccurate"

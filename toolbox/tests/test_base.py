@@ -93,7 +93,9 @@ def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
     design = synthesise(COUPLED, low, omega, order=7, base=0.2, L_max=None)
     problem = design.problem
     through = problem.P @ problem.of_K
-    _, value = statement(through, problem.Q, omega, 1.0, order=7, band=problem.band, L_max=K_MAX)
+    _, value = statement(
+        through, problem.Q, omega, 1.0, order=7, band=problem.objective.band, L_max=K_MAX
+    )
     assert design.value == pytest.approx(value, rel=1e-5)
 
 

@@ -40,10 +40,11 @@ IDLE = 0.9  # share of the error in the band from which on learning counts as id
 class Certificate:
     """What is known about a learning filter, by evidence independent of the solver."""
 
-    problem: Problem
+    problem: Problem  # as stated
+    grid: Problem  # at all frequencies at which it needed bounds
     filter: LearningFilter  # in units of scale, as P is
     value: float  # the objective reached
-    worst: WorstCase  # of all plants, within the radius, at each of the frequencies
+    worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
     # Peaks over all frequencies, without the radius: of the plants that are models, if Q is one,
     # too; and between the frequencies of omega, within the radius, and of samples.
     exact: list[Peak]
@@ -81,7 +82,7 @@ class Certificate:
     def highest_peak(self) -> Peak:
         """The highest of all that is proven, estimated or assumed, whatever the place."""
         plant, at = self.worst.tied[0]
-        peaks = [Peak(self.grid_M, self.problem.omega[at], plant), *self.exact, *self.estimated]
+        peaks = [Peak(self.grid_M, self.grid.omega[at], plant), *self.exact, *self.estimated]
         return highest(peaks if self.beyond is None else [*peaks, self.beyond])
 
     @property
@@ -92,9 +93,9 @@ class Certificate:
     @property
     def convergence(self) -> Convergence:
         """Do the trials converge, on the worst of all plants?"""
-        problem, beyond, L = self.problem, self.beyond, self.filter
-        response = L.frequency_response(problem.omega)
-        on_grid = from_responses(problem.omega, problem.plants, problem.Q, response)
+        problem, grid, beyond, L = self.problem, self.grid, self.beyond, self.filter
+        response = L.frequency_response(grid.omega)
+        on_grid = from_responses(grid.omega, grid.plants, grid.Q, response)
         radii = [on_grid.spectral_radius.max()]
         for peak in self.exact:  # between the frequencies, too
             at = [peak.omega]
@@ -108,25 +109,24 @@ class Certificate:
             at=float(self.highest_peak.omega),
             spectral_radius=float(max(radii)),
             proven=self.proven,
-            uncertain=problem.design.radius is not None
-            or (beyond is not None and beyond.sigma >= 1),
+            uncertain=problem.radius is not None or (beyond is not None and beyond.sigma >= 1),
             assumptions=self.assumptions,
         )
 
     @property
     def mean_M(self) -> float:
         """Of the nominal plant, see :meth:`.Convergence.mean`; NaN without a band."""
-        design = self.problem.design
-        low, high = design.band or (0, 0)
+        problem = self.problem
+        low, high = problem.objective.band or (0, 0)
         if low <= 0:
             return np.nan
-        omega, P, Q = design.omega, design.P, design.Q
-        if design.proven:  # trapezia between coarse frequencies are not enough
+        omega, P, Q = problem.omega, problem.P, problem.Q
+        if problem.proven:  # trapezia between coarse frequencies are not enough
             omega = np.union1d(omega, np.geomspace(low, high, FINE))
-            P, _ = design.response.anywhere(0, omega)
-            Q = design.lowpass.frequency_response(omega)
+            P, _ = problem.response.anywhere(0, omega)
+            Q = problem.lowpass.frequency_response(omega)
         M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
-        return float(log_mean(largest_singular_values(M), omega, design.band))
+        return float(log_mean(largest_singular_values(M), omega, (low, high)))
 
     @cached_property
     def margins(self) -> Margins:
@@ -136,12 +136,12 @@ class Certificate:
     @property
     def predicted(self) -> dict[int, float] | None:
         """RMS of the error in some trials, for the reference of the design; None without one."""
-        return None if self.problem.band else predicted_rms(self.problem, self.filter)
+        return None if self.problem.objective.band else predicted_rms(self.problem, self.filter)
 
     @property
     def gap(self) -> float:
         """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
-        return (self.value - self.lower_bound) / self.problem.unit(self.value)
+        return (self.value - self.lower_bound) / self.grid.unit(self.value)
 
     @cached_property
     def deaf(self) -> bool:
@@ -170,7 +170,7 @@ class Certificate:
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
         problem, peak = self.problem, highest(self.exact)
-        M_max, L_max = problem.design.M_max, problem.design.L_max or np.inf
+        M_max, L_max = problem.M_max, problem.L_max or np.inf
         on_grid, anywhere = 1 + VIOLATION, 1 + CLOSE
         found = []
         if self.gap > GAP:
@@ -179,9 +179,9 @@ class Certificate:
             found.append(Finding("M", self.grid_M, M_max, self._place()))
         if self.grid_L > L_max * on_grid:
             found.append(Finding("L", self.grid_L, L_max))
-        if problem.everywhere and self.all_M > M_max * anywhere:
+        if problem.bounds.everywhere and self.all_M > M_max * anywhere:
             found.append(Finding("M everywhere", self.all_M, M_max, self._place(self.peak)))
-        if problem.everywhere and self.all_L > L_max * anywhere:
+        if problem.bounds.everywhere and self.all_L > L_max * anywhere:
             found.append(Finding("L everywhere", self.all_L, L_max))
         if peak and peak.sigma >= 1 and not self.deaf:
             found.append(Finding("one or more", peak.sigma, 1, self._place(peak)))
@@ -192,14 +192,14 @@ class Certificate:
     @property
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
-        problem, response, peak = self.problem, self.problem.design.response, self.peak
-        found, M_max = [*problem.findings], problem.design.M_max
+        problem, response, peak = self.problem, self.problem.response, self.peak
+        found, M_max = [*problem.findings], problem.M_max
         omega, P, sampled = response.omega, response.P[0], response.models[0] is None
         if sampled and response.radius is None:
-            found += scattered(omega, P, problem.design.Q)
+            found += scattered(omega, P, problem.Q)
         if sampled and (ahead := lead(P, omega, response.Ts)) > LEAD:
             found.append(Finding("lead", ahead, LEAD))
-        if problem.objective == "sum" and self.value > IDLE * problem.idle:
+        if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:
             found.append(Finding("idle", self.value / problem.idle, IDLE))
         code, known = ("between", M_max) if self.proven else ("samples", self.grid_M)
         passed = peak.sigma - known > COARSE * (1 - known)
@@ -210,14 +210,14 @@ class Certificate:
     def _place(self, peak=None):
         """Where a peak is, by default that at omega, and of which plant."""
         plant, at = self.worst.tied[0]
-        plant, omega = (plant, self.problem.omega[at]) if peak is None else (peak.plant, peak.omega)
+        plant, omega = (plant, self.grid.omega[at]) if peak is None else (peak.plant, peak.omega)
         of_plant = f"of plant {plant} at " if len(self.problem.plants) > 1 else "at "
         return f"{of_plant}{omega:.4g} rad/s"
 
     def __repr__(self):
-        near = self.problem.omega[self.worst.sigma >= 0.99 * self.rate]
+        near = self.grid.omega[self.worst.sigma >= 0.99 * self.rate]
         at = near.min() if near.size else self.highest_peak.omega
-        where = ", proven" if self.proven else f" {_span(self.problem.design.omega)}, estimated"
+        where = ", proven" if self.proven else f" {_span(self.problem.omega)}, estimated"
         lines = [
             f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies{where}; largest "
             f"near {float(f'{at:.2g}'):g} rad/s",
@@ -243,7 +243,7 @@ class Certificate:
         """For which plants the rate is."""
         count = len(self.problem.plants)
         of = f" of {count} plants" if count > 1 else ""
-        if self.problem.design.radius is not None:
+        if self.problem.radius is not None:
             return f" for every plant within the radius{of}"
         return f" for each{of}" if of else ""
 
@@ -258,21 +258,23 @@ class Certificate:
                 "without noise, and without what the two ends of a trial add, which counts if it "
                 "is not long against the settling time"
             ]
-        if problem.objective != "sum" or np.isnan(self.mean_M):
+        if problem.objective.kind != "sum" or np.isnan(self.mean_M):
             return []
         mean = f"{self.mean_M:.4f}" if self.mean_M >= 1e-4 else "below 0.0001"
-        return [f"mean of sigma_max(M){nominal} over the band: {mean}, {_span(problem.band)}"]
+        return [
+            f"mean of sigma_max(M){nominal} over the band: {mean}, {_span(problem.objective.band)}"
+        ]
 
     def _reached(self):
         """Which bounds limit the optimum; without them, no other than the filter's size."""
-        problem, bounds = self.problem, []
+        problem, grid, bounds = self.problem, self.grid, []
         if np.isnan(self.lower_bound):
             return "L = B by its formula, K = 1: nothing was optimised"
-        if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
-            bounds.append(f"M_max = {problem.design.M_max:g}")
-        if problem.L_max is not None and self.grid_L > problem.L_max * (1 - TIED):
-            bounds.append(f"L_max = {problem.design.L_max:g}")
-            if self.all_L > PASSED_L * problem.design.L_max:
+        if problem.objective.kind == "sum" and self.grid_M > grid.M_max * (1 - TIED):
+            bounds.append(f"M_max = {problem.M_max:g}")
+        if problem.L_max is not None and self.grid_L > grid.L_max * (1 - TIED):
+            bounds.append(f"L_max = {problem.L_max:g}")
+            if self.all_L > PASSED_L * problem.L_max:
                 bounds[-1] += f" ({self.all_L:.3g} between the frequencies)"
         size = f"order = {problem.order}"
         if problem.base is not None:
@@ -286,7 +288,7 @@ class Certificate:
     def _table(self) -> list[str]:
         """Bounds and peaks of M and L."""
         problem = self.problem
-        M_max, L_max = problem.design.M_max, problem.design.L_max
+        M_max, L_max = problem.M_max, problem.L_max
         all_M = f"{self.all_M:.6f}" if self.proven else "not proven"
         rows = [
             ("", "sigma_max(M)", "sigma_max(L)"),
@@ -298,7 +300,7 @@ class Certificate:
 
     def _between(self) -> list[str]:
         """The worst of several plants, and what is known of M between the design frequencies."""
-        problem, omega, lines = self.problem, self.problem.design.omega, []
+        problem, omega, lines = self.problem, self.problem.omega, []
         if problem.robust:
             of_P = f"of the nominal plant {self.worst.peaks[0]:.8f}"
             lines.append(f"largest{self._whom()}: {self._place()}, on the design grid; {of_P}")
@@ -326,7 +328,7 @@ class Certificate:
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
         if problem.base is not None:
             gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
-        lower = len(problem.omega) > len(problem.design.omega)
+        lower = len(self.grid.omega) > len(problem.omega)
         kept = ", of those whose bounds are kept lower at omega for what lies between and above"
         return (
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
@@ -339,14 +341,19 @@ def _span(omega):
     return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
 
 
-def check(problem: Problem, L: LearningFilter) -> Certificate:
-    """Find out what a filter, in units of `scale`, does to the plants of a problem."""
-    response, worst = L.frequency_response(problem.omega), worst_case(problem, L)
+def check(problem: Problem, L: LearningFilter, grid: Problem | None = None) -> Certificate:
+    """Find out what a filter, in units of `scale`, does to the plants of a problem.
+
+    `grid` is the problem at further frequencies, too.
+    """
+    grid = grid or problem
+    response, worst = L.frequency_response(grid.omega), worst_case(grid, L)
     estimated, beyond = estimated_peaks(problem, L, worst.sigma.max())
     return Certificate(
         problem,
+        grid,
         L,
-        value=problem.value(largest_singular_values(problem.M(response)), worst.sigma),
+        value=grid.objective.value(largest_singular_values(grid.M(response)), worst.sigma),
         worst=worst,
         exact=proven_peaks(problem, L),
         estimated=estimated,
@@ -355,7 +362,8 @@ def check(problem: Problem, L: LearningFilter) -> Certificate:
     )
 
 
-def certify(problem: Problem, solution: Solution) -> Certificate:
+def certify(problem: Problem, grid: Problem, solution: Solution) -> Certificate:
     """Find out what is true of a filter; nothing of the solution is trusted."""
-    bound = lower_bound(problem, solution.U, solution.V, solution.cuts)
-    return replace(check(problem, problem.learned(solution)), lower_bound=bound)
+    bound = lower_bound(grid, solution.U, solution.V, solution.cuts)
+    certificate = check(problem, problem.scaled_filter(solution.coefficients), grid)
+    return replace(certificate, lower_bound=bound)

@@ -83,7 +83,7 @@ def margins(problem: Problem, L) -> Margins:
 
 def _curves(problem, L):
     """The unit of P, and omega, P, Q, L even along P, Q L and Q exp(j omega d Ts)."""
-    response, cutoff = problem.design.response, problem.lowpass.cutoff
+    response, cutoff = problem.response, problem.lowpass.cutoff
     numbers, times = range(len(response.models)), DENSER if response.sampled else 1
     omega = np.unique(np.concatenate([dense_grid(response, k, L, times) for k in numbers]))
     omega = omega[omega <= response.omega[-1]]

@@ -6,7 +6,7 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 import numpy as np
 from scipy.special import expit
 
-from ilctools.evidence.robustness import FARTHEST, affine
+from ilctools.evidence.robustness import FARTHEST
 from ilctools.problem.problem import Cuts, Problem
 
 HALVINGS = 40  # of the distance of such logarithms
@@ -33,12 +33,12 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     """
     Q, angles = problem.Q, problem.omega * problem.Ts
     by_K, every = problem.through_base, np.arange(len(problem.omega))
-    parts = [(by_K(-Q[:, None, None] * problem.P, every), U, angles)]
+    parts = [(by_K(problem.affine(0, every, None)[1], every), U, angles)]
     if V is not None:  # in units of the bound: the size of the objective
         W = problem.weight
         parts.append((W, np.linalg.solve(W, V), angles))
     if cuts is not None:
-        F, T = affine(problem, cuts.plant, cuts.frequency)
+        F, T = problem.affine(cuts.plant, cuts.frequency, problem.radius)
         nonzero = (np.abs(T) + np.abs(F)).max(axis=2, keepdims=True) > 0
         T = by_K(T, cuts.frequency)
         parts.append((T, cuts.N * nonzero, angles[cuts.frequency]))
@@ -52,10 +52,10 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
         N = others[-1]
         bound += (N.conj() * F).real.sum()
         dual = dual_norm(N).sum()
-    if problem.objective == "peak":
+    if problem.objective.kind == "peak":
         bound /= norms.sum() + dual
     else:
-        excess = np.maximum(norms - problem.weights, 0).sum() + dual
+        excess = np.maximum(norms - problem.objective.weights, 0).sum() + dual
         bound -= problem.M_max * excess
     return max(0.0, float(bound))  # the objective is never negative
 

@@ -147,7 +147,7 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
 
 def unproven(problem: Problem) -> list[int]:
     """Plants without a proof between the frequencies: samples, and all if there is a radius."""
-    of_all = problem.design.radius is not None or isinstance(problem.lowpass, SampledQ)
+    of_all = problem.radius is not None or isinstance(problem.lowpass, SampledQ)
     models = enumerate(problem.response.models)
     return [k for k, model in models if of_all or model is None]
 
@@ -157,7 +157,7 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
 
     On a dense grid and, near the level or above, at the vertices between; below only bounded.
     """
-    response, inside, above = problem.design.response, [], []
+    response, inside, above = problem.response, [], []
     for k in unproven(problem):
 
         def sigma_M(omega, k=k):

@@ -76,23 +76,11 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     nominal = np.array([largest_singular_values(problem.M(response, k)) for k in numbers])
     sigma = nominal
     if problem.radius is not None:
-        of_plants = (affine(problem, k, every) for k in numbers)
+        of_plants = (problem.affine(k, every, problem.radius) for k in numbers)
         sigma = np.array([_least_bound(F + T @ response) for F, T in of_plants])
     ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
     pairs = tuple((plant, frequency) for frequency, plant in ties)
     return WorstCase(sigma.max(axis=0), nominal.max(axis=1), pairs)
-
-
-def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
-    """F and T of G = F + T L in :class:`.Cuts`, for plants and frequencies."""
-    m = problem.channels
-    P, Q = problem.plants[plant, at], problem.Q[at, None, None]
-    T = -Q * P
-    if problem.radius is not None:
-        rho = np.abs(Q) * problem.radius[at, None, None]
-        T = np.concatenate([T, rho * np.eye(m)], axis=1)
-    F = Q * np.eye(T.shape[1], m)
-    return F, T
 
 
 def within_radius(M, rho_L, level):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools.filters import ZeroPhaseButterworth
-from ilctools.problem.problem import Problem
+from ilctools.problem.problem import Bounds, Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.singular_values import largest_singular_values
 
@@ -27,26 +27,25 @@ def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
     With `everywhere` these are bounds on M and L. Else on L, if omega is coarse for it, and above
     the last sample of P, where only its size is known.
     """
-    response, of_L, everywhere = problem.response, problem.poles_of_L, problem.everywhere
+    response, of_L, stated = problem.response, problem.poles_of_L, problem.omega
+    everywhere, last = problem.bounds.everywhere, stated[-1]
     ends = np.concatenate([[0], response.angles, [np.pi]])
     coarse = np.diff(phase(of_L, ends)).max() > COARSE and problem.L_max is not None
-    stated, last = problem.omega, problem.omega[-1]
     if not (everywhere or coarse or response.beyond is not None):
         return problem, np.ones(len(stated), bool)
     theta, h = _dense(problem)
-    lower, grid = np.cos(h / 2), replace(problem, stated=problem)
-    if everywhere:
-        grid = replace(grid, M_max=problem.M_max * lower)
+    lower, grid = np.cos(h / 2), problem
     if everywhere or coarse:
-        grid = replace(grid, L_max=problem.L_max and problem.L_max * lower)
+        M_max = problem.M_max * (lower if everywhere else 1)
+        bounds = Bounds(M_max, problem.L_max and problem.L_max * lower, everywhere)
         denser = stated if problem.proven or not everywhere else subdivided(stated, DENSER)
         omega = np.setdiff1d(np.append(theta / problem.Ts, denser), stated)
         if response.beyond is not None:
             omega = omega[omega < last]
-        grid = _joined(grid, omega, *_between(grid, omega))
+        grid = replace(_joined(problem, omega, *_between(problem, omega)), bounds=bounds)
     if response.beyond is not None:
         omega = np.append(np.nextafter(last, np.inf), theta[theta / problem.Ts > last] / problem.Ts)
-        grid = _joined(grid, omega, *_above(grid, omega, lower))
+        grid = _joined(grid, omega, *_above(problem, omega, grid.M_max, lower))
     return grid, np.isin(grid.omega, stated)
 
 
@@ -54,7 +53,7 @@ def _dense(problem):
     """Angles from 0 to pi, and the largest step between them in the phase of what is bounded."""
     of_L, lowpass = problem.poles_of_L, problem.lowpass
     step, systems = ESTIMATED, [of_L]
-    if problem.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
+    if problem.bounds.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
         of_P = [model.poles() for model in problem.response.models if model is not None]
         systems = [np.concatenate([poles, of_L, lowpass.poles]) for poles in of_P] or systems
         step = PROVEN if problem.proven else ESTIMATED
@@ -65,25 +64,25 @@ def _dense(problem):
 
 def _between(problem, omega):
     """P, Q and the radius between the frequencies; Q is zero where L alone is bounded."""
-    response = problem.design.response
+    response = problem.response
     known = [response.anywhere(k, omega) for k in range(len(response.models))]
     P, radius = np.array([P for P, _ in known]), np.max([radius for _, radius in known], axis=0)
     inside = (omega >= response.omega[0]) & (omega <= response.omega[-1])
-    bounded = problem.everywhere & (inside | (not response.sampled))
+    bounded = problem.bounds.everywhere & (inside | (not response.sampled))
     Q = problem.lowpass.frequency_response(omega)
     return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
 
 
-def _above(problem, omega, lower):
+def _above(problem, omega, M_max, lower):
     """The same above the last sample, where P is zero with a radius, its size there."""
-    response = problem.design.response
+    response = problem.response
     # M must keep its bound between these, too: Q falls, and L is larger by 1 / lower
     before = np.append(response.omega[-1], omega[:-1])
     Q = np.abs(problem.lowpass.frequency_response(before))
     models = [k for k, model in enumerate(response.models) if model is not None]
     sizes = [largest_singular_values(response.anywhere(k, omega)[0]) for k in models]
     radius = np.max([response.beyond + 0 * omega, *sizes], axis=0) / lower
-    bounded = problem.M_max > Q  # else no filter does: see `findings`
+    bounded = M_max > Q  # else no filter does: see `findings`
     P = np.zeros((len(response.P), len(omega), *response.P.shape[2:]))
     return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
 
@@ -104,15 +103,13 @@ def _joined(problem, omega, P, Q, radius):
         P=joined(response.P, P, axis=1),
         radius=radius if radius.any() else None,
     )
-    weights = joined(problem.weights, 0 * omega)
-    return replace(problem, response=response, Q=joined(problem.Q, Q), weights=weights)
+    objective = problem.objective
+    objective = replace(objective, weights=joined(objective.weights, 0 * omega))
+    return replace(problem, response=response, Q=joined(problem.Q, Q), objective=objective)
 
 
 def part(problem: Problem, chosen) -> Problem:
     """The problem at some of its frequencies, (n,) bool."""
-    return replace(
-        problem,
-        response=problem.response.at(chosen),
-        Q=problem.Q[chosen],
-        weights=problem.weights[chosen],
-    )
+    objective = replace(problem.objective, weights=problem.objective.weights[chosen])
+    response, Q = problem.response.at(chosen), problem.Q[chosen]
+    return replace(problem, response=response, Q=Q, objective=objective)

@@ -10,7 +10,7 @@ from ilctools.base import base_of_models, base_of_samples
 from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
 from ilctools.problem.lowpass import lowpass_of
-from ilctools.problem.problem import Problem
+from ilctools.problem.problem import Bounds, Objective, Problem
 from ilctools.problem.reference import first_error
 from ilctools.response.door import response_of
 from ilctools.response.response import ROUNDING
@@ -45,82 +45,68 @@ def pose(
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
     response = response_of(P, omega, Ts, uncertainty, scale, Q)
     lowpass = lowpass_of(Q, response.omega)
-    response = _learnable(response, lowpass.cutoff)
-    smallest = _smallest_singular_values(response)
+    response, cutoff, chosen = _learnable(response, lowpass.cutoff), lowpass.cutoff, []
     pooled = base == defaults.CHOOSE
+    gain = _gain(response, cutoff, close=pooled)
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
-    what = "in (0, 1), or the trials do not converge"
-    problem = Problem(
+    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
+    structure = arguments.choice("structure", structure, ["diagonal", "full"])
+    kind = arguments.choice("objective", objective, ["sum", "peak"])
+    everywhere = arguments.flag("everywhere", everywhere)
+    order = _order(response, cutoff, order, base, chosen)
+    objective = _objective(response, cutoff, kind, band, reference, chosen)
+    Q = lowpass.frequency_response(response.omega)
+    _refuse_idle(Q if kind == "peak" else Q[objective.weights > 0])
+    L_max = _bound_on_L(L_max, gain, pooled, chosen)
+    chosen = [f"chosen: {text}" for text in chosen] + (
+        [] if scale is not None else _units(response)
+    )
+    if base is not None:
+        base, text = _base(response, lowpass, structure, base, L_max or gain, reach)
+        chosen.append(text)
+    return Problem(
         response=response,
         lowpass=lowpass,
-        Q=lowpass.frequency_response(response.omega),
-        M_max=arguments.number("M_max", M_max, what, 0, 1),
-        structure=arguments.choice("structure", structure, ["diagonal", "full"]),
-        objective=arguments.choice("objective", objective, ["sum", "peak"]),
-        everywhere=arguments.flag("everywhere", everywhere),
-    )
-    chosen = []  # by default, in words
-    order = _order(problem, order, base, chosen)
-    first_error = None
-    if reference is None:
-        band, weights = _of_band(problem, band, chosen)
-    else:
-        first_error, weights = _of_reference(problem, band, reference)
-    _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
-    L_max = _bound_on_L(problem, L_max, smallest, pooled, chosen)
-    chosen = [f"chosen: {text}" for text in chosen]
-    if scale is None:
-        chosen += _units(response)
-    problem = replace(
-        problem,
+        Q=Q,
+        objective=objective,
+        bounds=Bounds(M_max, L_max, everywhere),
         order=order,
-        band=band,
-        first_error=first_error,
-        weights=weights,
-        L_max=L_max,
+        structure=structure,
+        base=base,
         chosen=tuple(chosen),
     )
-    return problem if base is None else with_base(problem, base, reach)
 
 
-def with_base(problem: Problem, share: float | str, reach: int | None = None) -> Problem:
-    """A problem with L = B K; b is a share of sigma_max(P) up to Q's cut-off, or 1 / (2 L_max).
+def _base(response, lowpass, structure, share, L_max, reach):
+    """B of L = B K, and what to say of it; b is 1 / (2 L_max), or a share of sigma_max(P).
 
-    In the second case B is that of all plants, and it keeps L_max by itself: K = 1 will do.
-
-    Raises
-    ------
-    ValueError
-        If the model is such that rounding keeps B from us.
+    That is up to Q's cut-off. In the first case B is of all plants, and keeps L_max by itself:
+    K = 1 will do.
     """
-    response, pooled = problem.response, share == defaults.CHOOSE
-    models = response.models if pooled else response.models[:1]
+    pooled = share == defaults.CHOOSE
     if pooled:
-        smallest = _smallest_singular_values(response)
-        b = 1 / (2 * (problem.L_max or _gain(problem, smallest, close=True)))
+        models, b, why = response.models, 1 / (2 * L_max), "1 / (2 L_max)"
     else:
-        below = problem.omega <= max(problem.lowpass.cutoff, problem.omega[0])
-        b = share * largest_singular_values(problem.P[below]).max()
+        below = response.omega <= max(lowpass.cutoff, response.omega[0])
+        b = share * largest_singular_values(response.P[0, below]).max()
+        models, why = response.models[:1], f"{share:g} of its largest gain"
     exact = reach is None and None not in models
     if exact and pooled:
         exact = sum(P.nstates for P in models) <= STATES
-    base = base_of_models(models, b, problem.structure) if exact else None
+    base = base_of_models(models, b, structure) if exact else None
     if base is None and (pooled or not exact):
-        base = base_of_samples(response, problem.lowpass, b, reach, len(models), problem.structure)
+        base = base_of_samples(response, lowpass, b, reach, len(models), structure)
     if base is None:
         raise ValueError(
             f"base = {share} is too small for this plant, whose factors rounding decides: take a "
             "larger one, or None"
         )
-    sampled = isinstance(base, LearningFilter)
-    kind = "a finite filter" if sampled else "with the ends of a trial"
+    kind = "with the ends of a trial"
+    if isinstance(base, LearningFilter):
+        kind = f"a finite filter of {-base.first} samples each way"
     of = "all plants" if len(models) > 1 else "the plant"
-    why = "1 / (2 L_max)" if pooled else f"{share:g} of its largest gain"
-    text = f"L = B K, B of {of} with b = {b:.3g}, {why}, {kind}"
-    if sampled:
-        text += f" of {-base.first} samples each way"
-    return replace(problem, base=base, chosen=(*problem.chosen, text))
+    return base, f"L = B K, B of {of} with b = {b:.3g}, {why}, {kind}"
 
 
 def _units(response):
@@ -137,17 +123,17 @@ def _units(response):
     ]
 
 
-def _order(problem, order, base, chosen):
+def _order(response, cutoff, order, base, chosen):
     """The order of L or K, which the frequencies must determine."""
-    n = len(problem.omega)
+    n = len(response.omega)
     if order is None and base is not None:
         order = min(defaults.TAPS, n)
         if base != defaults.CHOOSE:
             chosen.append(f"order = {order} of K, in L = B K")
     if order is None:
-        order = defaults.order(problem.lowpass.cutoff, problem.delay, problem.Ts, n)
-        text = f"order = {order}, by Q's cut-off and P's lag of {problem.delay} samples there"
-        chosen.append(text)
+        delay = defaults.delay(response.P[0], response.omega, response.Ts, cutoff)
+        order = defaults.order(cutoff, delay, response.Ts, n)
+        chosen.append(f"order = {order}, by Q's cut-off and P's lag of {delay} samples there")
     order = arguments.whole("order", order, 1)
     if order > LONGEST:
         raise ValueError(
@@ -162,11 +148,28 @@ def _order(problem, order, base, chosen):
     return order
 
 
-def _of_band(problem, band, chosen):
+def _objective(response, cutoff, kind, band, reference, chosen):
+    """What is minimised: a sum in a band, or weighted by the first error of a reference; a peak."""
+    summed = kind == "sum"
+    if reference is None:
+        band, weights = _of_band(response.omega, cutoff, band, summed, chosen)
+        return Objective(kind, weights, band)
+    if band is not None or not summed:
+        raise ValueError(
+            f"reference takes the place of the band in the sum (39), but band = {band!r} and "
+            f"objective = {kind!r}: leave these out, or the reference"
+        )
+    m = len(response.scale)
+    names = response.signals.labels[:m] or arguments.names_of(reference) or range(m)
+    r = arguments.in_columns("reference", reference, ("time", m), names) / response.scale
+    power, weights = first_error(response.P[0], response.angles, r)
+    return Objective(kind, weights, first_error=power)
+
+
+def _of_band(omega, cutoff, band, summed, chosen):
     """The band, and weights that are one within; it must lie within omega if there is a sum."""
-    omega, summed = problem.omega, problem.objective == "sum"
     if band is None:
-        band = defaults.band(problem.lowpass.cutoff, omega)
+        band = defaults.band(cutoff, omega)
         if summed:
             chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to Q's cut-off")
     low, high = band = tuple(arguments.array("band", band, (2,)).tolist())
@@ -182,24 +185,10 @@ def _of_band(problem, band, chosen):
     return band, inside.astype(float)
 
 
-def _of_reference(problem, band, reference):
-    """Power and weights of the first error of a reference."""
-    if band is not None or problem.objective != "sum":
-        raise ValueError(
-            f"reference takes the place of the band in the sum (39), but band = {band!r} and "
-            f"objective = {problem.objective!r}: leave these out, or the reference"
-        )
-    m = problem.channels
-    names = problem.response.signals.labels[:m] or arguments.names_of(reference) or range(m)
-    r = arguments.in_columns("reference", reference, ("time", m), names) / problem.scale
-    return first_error(problem.P, problem.omega * problem.Ts, r)
-
-
-def _bound_on_L(problem, L_max, smallest, close, chosen):
+def _bound_on_L(L_max, gain, close, chosen):
     """The bound on sigma_max(L), or None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max = _gain(problem, smallest, close)
-        room = f"{defaults.CLOSE} or less" if close else defaults.ROOM
+        L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
     if L_max is None:
         return None
@@ -207,11 +196,12 @@ def _bound_on_L(problem, L_max, smallest, close, chosen):
     return arguments.positive("L_max", L_max, what)
 
 
-def _gain(problem, smallest, close):
+def _gain(response, cutoff, close):
     """The default bound on L."""
     # What is not known beyond its radius is not worth inverting.
-    radius = 0 if problem.radius is None else problem.radius
-    return defaults.gain(problem.lowpass.cutoff, np.maximum(smallest, radius), problem.omega, close)
+    radius = 0 if response.radius is None else response.radius
+    smallest = np.maximum(_smallest_singular_values(response), radius)
+    return defaults.gain(cutoff, smallest, response.omega, close)
 
 
 def _refuse_idle(Q):

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ilctools.base import RegularisedInverse, in_units
+from ilctools.base import RegularisedInverse
 from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem import defaults
@@ -25,9 +25,45 @@ K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K 
 MOST_GAIN = 1e7  # of Q P L: beyond it coefficients in doubles no longer determine M to about 1e-9
 
 
+@dataclass(frozen=True)
+class Objective:
+    """What is minimised."""
+
+    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
+    kind: str
+    weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
+    # over which "sum" sums, rad/s; None if a reference weights it: then there is the power of the
+    # first trial's error at the design frequencies, (n, m, m), see `reference`
+    band: tuple[float, float] | None = None
+    first_error: np.ndarray | None = None
+
+    @property
+    def summed(self) -> np.ndarray:
+        """Which frequencies count in the sum, (n,)."""
+        return (self.weights > 0) & (self.kind == "sum")
+
+    def value(self, sigma_M, worst=None) -> float:
+        """The objective, from the largest singular value of M at each frequency.
+
+        `worst`, for the peak: the largest over all plants; by default that of the nominal one.
+        """
+        if self.kind == "sum":
+            return float((self.weights * sigma_M)[self.summed].sum())  # (39)
+        return float((sigma_M if worst is None else worst).max())  # (45)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Within which it is minimised."""
+
+    M_max: float  # on sigma_max(M)
+    L_max: float | None  # on sigma_max(L)
+    everywhere: bool = False  # whether they hold between the frequencies, too
+
+
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """The problem of a learning filter. Made by :func:`.pose.pose`.
+    """The problem of a learning filter. Made by :func:`.pose.pose`, at the design frequencies.
 
     M and L are bounded at `omega`; where Q is zero, L alone.
     """
@@ -35,28 +71,22 @@ class Problem:
     response: Response  # what is known of P
     lowpass: ZeroPhaseButterworth | SampledQ
     Q: np.ndarray  # (n,): its response at the frequencies; zero where L alone is bounded
-    order: int = 1  # number of samples that the learning filter looks ahead, or of those of K
-    base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
-    M_max: float = 0.9  # bound on sigma_max(M)
-    L_max: float | None = None  # bound on sigma_max(L)
+    objective: Objective
+    bounds: Bounds
+    order: int  # number of samples that the learning filter looks ahead, or of those of K
     structure: str = "full"  # or "diagonal"
-    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
-    objective: str = "sum"
-    everywhere: bool = False  # whether the bounds hold between the frequencies, too
-    # over which "sum" sums, rad/s; None if a reference weights it: then there is the power of the
-    # first trial's error at the design frequencies, (n, m, m), see `reference`
-    band: tuple[float, float] | None = None
-    first_error: np.ndarray | None = None
-    weights: np.ndarray | None = None  # (n,): of sigma_max(M) in the sum; ones in the band
+    base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
     chosen: tuple[str, ...] = ()  # by default, in words
 
-    # what was asked, without the frequencies of `grid` and its lower bounds; None if this is it
-    stated: "Problem | None" = None
+    @property
+    def M_max(self) -> float:
+        """Bound on sigma_max(M)."""
+        return self.bounds.M_max
 
     @property
-    def design(self) -> "Problem":
-        """The problem as stated: at the design frequencies."""
-        return self.stated or self
+    def L_max(self) -> float | None:
+        """Bound on sigma_max(L)."""
+        return self.bounds.L_max
 
     @property
     def omega(self) -> np.ndarray:
@@ -91,8 +121,7 @@ class Problem:
     @property
     def proven(self) -> bool:
         """Whether P and Q are known between the frequencies, too: models without a radius."""
-        response = self.design.response
-        exact = response.radius is None and not response.sampled
+        exact = self.radius is None and not self.response.sampled
         return exact and isinstance(self.lowpass, ZeroPhaseButterworth)
 
     @property
@@ -103,7 +132,7 @@ class Problem:
     @property
     def idle(self) -> float:
         """The objective without learning, L = 0."""
-        return self.value(np.abs(self.Q))
+        return self.objective.value(np.abs(self.Q))
 
     def unit(self, value) -> float:
         """Scale of relative gaps: the objective, at least a hundredth of that for L = 0.
@@ -115,12 +144,12 @@ class Problem:
     @property
     def delay(self) -> int:
         """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
-        return defaults.delay(self.design.P, self.design.omega, self.Ts, self.lowpass.cutoff)
+        return defaults.delay(self.P, self.omega, self.Ts, self.lowpass.cutoff)
 
     @property
     def robust(self) -> bool:
         """Whether the bounds hold for more plants than the nominal one."""
-        return self.design.radius is not None or len(self.plants) > 1
+        return self.radius is not None or len(self.plants) > 1
 
     @property
     def unusable(self) -> np.ndarray:
@@ -131,18 +160,20 @@ class Problem:
         smallest = np.linalg.svd(self.plants, compute_uv=False)[..., -1].min(axis=0)
         return self.radius >= smallest
 
-    def value(self, sigma_M, worst=None) -> float:
-        """The objective, from the largest singular value of M at each frequency.
-
-        `worst`, for the peak: the largest over all plants; by default that of the nominal one.
-        """
-        if self.objective == "sum":
-            return float((self.weights * sigma_M)[self.weights > 0].sum())  # (39)
-        return float((sigma_M if worst is None else worst).max())  # (45)
-
     def M(self, L, number: int = 0) -> np.ndarray:
         """M of a plant at `omega`, from the response of L there."""
         return convergence_matrix(self.plants[number], self.Q, L)
+
+    def affine(self, plant, at, radius) -> tuple[np.ndarray, np.ndarray]:
+        """F and T of G = F + T L for plants and frequencies, by number, with a radius or None.
+
+        G is M = Q I - Q P L, or with a radius [M; |Q| r L], see :class:`Cuts`.
+        """
+        identity, Q = np.eye(self.channels), self.Q[at, None, None]
+        T = -Q * self.plants[plant, at]
+        if radius is not None:
+            T = np.concatenate([T, np.abs(Q) * radius[at, None, None] * identity], axis=1)
+        return Q * np.eye(T.shape[1], self.channels), T
 
     @property
     def weight(self) -> np.ndarray:
@@ -184,29 +215,26 @@ class Problem:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What was chosen by default, and what P, its radius and Q rest on between samples."""
-        design, more = self.design, []
-        response, lost = design.response, design.unusable
+        more, response, lost = [], self.response, self.unusable
         if isinstance(self.lowpass, SampledQ):
             last = np.abs(self.lowpass.samples[-1])
             more.append(f"assumed: Q is splined between its samples, and {last:.4g} above the last")
         if lost.any():
-            low, high = design.omega[lost][[0, -1]]
+            low, high = self.omega[lost][[0, -1]]
             more.append(
                 f"nothing can be learned at {lost.sum()} frequencies from {low:.4g} to {high:.4g} "
                 "rad/s, where the uncertainty ball contains singular plants; |Q|, below which "
-                f"sigma_max(M) cannot be, is up to {np.abs(design.Q[lost]).max():.4g} there"
+                f"sigma_max(M) cannot be, is up to {np.abs(self.Q[lost]).max():.4g} there"
             )
         return (*self.chosen, *response.assumptions, *response.assumed, *more)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Why the bounds cannot hold where P is not known."""
-        response, M_max = self.design.response, self.design.M_max
-        last = response.omega[-1]
-        Q = np.abs(self.lowpass.frequency_response([last]))[0]
-        if response.beyond is None or M_max > Q:
+        Q = np.abs(self.Q[-1])
+        if self.response.beyond is None or self.M_max > Q:
             return ()
-        return (Finding("unmeasured", Q, M_max, f"above {last:.4g} rad/s"),)
+        return (Finding("unmeasured", Q, self.M_max, f"above {self.omega[-1]:.4g} rad/s"),)
 
     def scaled_filter(self, coefficients) -> Filter:
         """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
@@ -214,14 +242,6 @@ class Problem:
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
         K = LearningFilter(coefficients, self.Ts, ends, self.first)
         return K if self.base is None else self.base @ K
-
-    def filter(self, coefficients) -> Filter:
-        """The same in the plant's own units."""
-        return in_units(self.scaled_filter(coefficients), self.scale)
-
-    def learned(self, solution: "Solution") -> Filter:
-        """The filter of a solution, in units of `scale`."""
-        return self.scaled_filter(solution.coefficients)
 
     @property
     def poles_of_L(self) -> np.ndarray:

@@ -22,7 +22,7 @@ def solve(problem: Problem) -> Solution:
     while True:
         formulation = formulate(problem, plant, frequency)
         solution = formulation.solution(minimise(formulation.program))
-        limit = solution.largest if problem.objective == "peak" else problem.M_max
+        limit = solution.largest if problem.objective.kind == "peak" else problem.M_max
         of_plant, at = violated(problem, solution, limit, plant, frequency)
         if not len(at):
             return solution

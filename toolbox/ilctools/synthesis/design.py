@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
+from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.evidence.finite import trial_norm
@@ -35,12 +36,12 @@ def synthesise(
     Ts=None,
     *,
     order=None,
-    M_max=Problem.M_max,
+    M_max=0.9,
     L_max=CHOOSE,
     band=None,
     reference=None,
-    structure=Problem.structure,
-    objective=Problem.objective,
+    structure="full",
+    objective="sum",
     scale=None,
     uncertainty=None,
     everywhere=False,
@@ -214,9 +215,8 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
         text += f", the norm of a trial of {samples} samples {norm:.3g}"
     if norm >= 1:
         warnings.warn(f"{text}: its ends may grow from trial to trial", stacklevel=4)
-    certificate = design.certificate
-    problem = replace(certificate.problem, chosen=(text, *certificate.problem.chosen))
-    return replace(design, certificate=replace(certificate, problem=problem))
+    problem = replace(design.problem, chosen=(text, *design.problem.chosen))
+    return replace(design, certificate=replace(design.certificate, problem=problem))
 
 
 def norm_of_trial(design: Synthesis) -> tuple[float, int]:
@@ -257,16 +257,16 @@ def designed(problem: Problem, base) -> Synthesis:
 
 def direct(problem: Problem) -> Synthesis | None:
     """L = B, K = 1, if all bounds hold for it and it is asked for nothing else."""
-    if problem.objective != "sum" or problem.band is None:
+    if problem.objective.kind != "sum" or problem.objective.band is None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
     zero = np.zeros((len(problem.omega), *one.shape))
     solution = Solution(one[..., None], zero, zero, largest=np.nan, iterations=0)
-    certificate = check(problem, problem.learned(solution))
+    certificate = check(problem, problem.scaled_filter(solution.coefficients))
     beyond = certificate.beyond
     if certificate.failures or (beyond and beyond.sigma > problem.M_max):
         return None
-    return result(problem, problem, solution, certificate)
+    return result(problem, solution, certificate)
 
 
 def insist(certificate: Certificate):
@@ -278,7 +278,7 @@ def insist(certificate: Certificate):
 
 def _remedy(problem):
     """What to do where bounds at every frequency make a problem hard."""
-    if not problem.everywhere:
+    if not problem.bounds.everywhere:
         return ""
     return (
         " Bounds at every frequency are harder than on omega: take more frequencies, a shorter "
@@ -296,27 +296,26 @@ def warned(design: Synthesis) -> Synthesis:
 
 def certified(problem: Problem, *, check=True) -> Synthesis:
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
-    stated = problem
     try:
-        problem, solution = solve_everywhere(problem)
+        grid, solution = solve_everywhere(problem)
     except Infeasible:
         raise _infeasible(problem) from None
     except RuntimeError as error:
         raise SolverError(f"{error}.{_remedy(problem)}") from None
-    certificate = certify(problem, solution)
+    certificate = certify(problem, grid, solution)
     if check:
         insist(certificate)
-    return result(problem, stated, solution, certificate)
+    return result(problem, solution, certificate)
 
 
-def result(problem, stated, solution, certificate) -> Synthesis:
+def result(problem, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
-    L = stated.L(solution)
+    L = problem.L(solution)
     return Synthesis(
-        problem.filter(solution.coefficients),
-        stated,
+        in_units(certificate.filter, problem.scale),
+        problem,
         certificate,
-        largest_singular_values(stated.M(L)),
+        largest_singular_values(problem.M(L)),
         largest_singular_values(L),
         solution,
     )
@@ -324,7 +323,7 @@ def result(problem, stated, solution, certificate) -> Synthesis:
 
 def _infeasible(problem) -> InfeasibleError:
     """The error that says what would be feasible, and where the bounds are most in the way."""
-    posed, nearest = solve_everywhere(problem, M_max=np.inf, objective="peak")
+    posed, nearest = solve_everywhere(problem, nearest=True)
     plant, omega = _obstacle(posed, nearest)
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again

@@ -19,10 +19,15 @@ ROUNDS = 50  # at which to give up
 FEW = 100  # bounds that are added in a round, beside those that are passed most
 
 
-def solve_everywhere(problem: Problem, **changes) -> tuple[Problem, Solution]:
-    """Solve a problem, with changes on its grid; returned with all frequencies that it needs."""
+def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution]:
+    """Solve a problem; returned with all frequencies that it needs.
+
+    `nearest`: find the least M_max that can be met.
+    """
     grid, chosen = on_a_grid(problem)
-    grid = replace(grid, **changes)
+    if nearest:
+        peak = replace(grid.objective, kind="peak")
+        grid = replace(grid, objective=peak, bounds=replace(grid.bounds, M_max=np.inf))
     for _ in tqdm(range(ROUNDS), "bounds at every frequency", leave=False, delay=3, disable=None):
         wider = part(grid, chosen)
         solution = solve(wider)
@@ -36,9 +41,9 @@ def solve_everywhere(problem: Problem, **changes) -> tuple[Problem, Solution]:
 def _share(problem, solution):
     """The larger share of its bounds on M and on L that a solution has at each frequency."""
     limit_M, limit_L = problem.M_max, 1.0
-    if problem.objective == "peak":  # rounding, where it is nearly zero
+    if problem.objective.kind == "peak":  # rounding, where it is nearly zero
         limit_M = solution.largest + PASSED * problem.unit(solution.largest)
-    if problem.objective == "gain":
+    if problem.objective.kind == "gain":
         limit_L = solution.largest
     L, numbers = problem.L(solution), range(len(problem.plants))
     sigma_M = np.max([worst_sigma(problem, L, k, limit_M) for k in numbers], axis=0)

@@ -10,7 +10,7 @@ The powers z, z^2, ... are replaced by a basis that is orthonormal with the weig
 each frequency. It is computed in long doubles, see :func:`ilctools.filters.time_shifts`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,23 +57,17 @@ def entries_of(channels, structure):
 
 
 def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
-    """The bound on M, (40), for pairs of a plant, by number, and a frequency."""
-    P, Q = problem.plants[plant, frequency], problem.Q[frequency]
-    identity = np.eye(problem.channels)[..., None]
-    F, T = identity * Q, -Q * np.moveaxis(P, 0, -1)  # M = Q I - Q P L
-    if radius is not None:  # [M; |Q| r L]
-        r = np.maximum(radius, SMALLEST * np.abs(problem.P).max())[frequency]
-        F, T = np.concatenate([F, 0 * F]), np.concatenate([T, np.abs(Q) * r * identity])
-    F, T = (np.ascontiguousarray(X, dtype=complex) for X in (F, T))  # as long vectors
-    return Bound(F, T, frequency, level)
+    """The bound on M, (40), for pairs of a plant and a frequency, or on [M; |Q| r L]."""
+    if radius is not None:
+        radius = np.maximum(radius, SMALLEST * np.abs(problem.P).max())
+    F, T = problem.affine(plant, frequency, radius)
+    T = problem.through_base(T, frequency)
+    return Bound(_long(F), _long(T), frequency, np.broadcast_to(level, len(frequency)))
 
 
-def _by_K(problem, bound):
-    """A bound on what L makes, G = F + T L, as one on what K makes."""
-    if problem.base is None:
-        return bound
-    T = np.moveaxis(problem.through_base(np.moveaxis(bound.T, -1, 0), bound.at), 0, -1)
-    return replace(bound, T=np.ascontiguousarray(T))
+def _long(X):
+    """A matrix for each frequency as a matrix of long vectors."""
+    return np.ascontiguousarray(np.moveaxis(X, 0, -1), dtype=complex)
 
 
 def joined(*bounds) -> Bound:
@@ -121,40 +115,43 @@ def back_substituted(x, R):
 
 
 def levels_of(problem):
-    """The cost of each t, both limits, and which of these numbers bounds what.
+    """The cost of each t, both limits, of which the first is that of t, and what bounds what.
 
-    Returns the numbers for M at each frequency, for the cuts, and for W L.
+    That is a number for M at each frequency, for the cuts, and for W L: of a t, or of a limit.
     """
-    n, in_sum = len(problem.omega), np.flatnonzero(problem.weights)
-    if problem.objective == "sum":  # (39): M by t in the sum, else by M_max; W L by 1
-        cost, limits = problem.weights[in_sum], [problem.M_max, 1.0]
-        of_M = np.full(n, len(cost))
-        of_M[in_sum] = np.arange(len(cost))
-        return cost, limits, of_M, len(cost), len(cost) + 1
-    if problem.objective == "peak":  # (45), (46): M by t; W L by 1
-        return np.ones(1), [GENEROUS * problem.idle, 1.0], np.full(n, 0), 0, 2
-    # the least gain: M by M_max; W L by t
-    return np.ones(1), [GENEROUS, problem.M_max], np.full(n, 2), 2, 0
+    of_M, summed = np.zeros(len(problem.omega), int), problem.objective.summed
+    if problem.objective.kind == "gain":  # minimise t; W L below t, M below M_max
+        return np.ones(1), [GENEROUS, problem.M_max], of_M + 2, 2, 0
+    if problem.objective.kind == "peak":  # minimise t; M below t, W L below 1: (45), (46)
+        return np.ones(1), [GENEROUS * problem.idle, 1.0], of_M, 0, 2
+    # minimise c t; M below t in the sum, else below M_max, W L below 1: (39)
+    cost = problem.objective.weights[summed]
+    of_M[:], of_M[summed] = len(cost), np.arange(len(cost))
+    return cost, [problem.M_max, 1.0], of_M, len(cost), len(cost) + 1
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
-    every, summed = np.arange(len(problem.omega)), problem.weights * (problem.objective == "sum")
-    of_M = (problem.Q != 0) | (summed > 0)  # elsewhere L alone is bounded
-    nominal, plant, frequency = every[of_M], np.array(plant, int), np.array(frequency, int)
-    if problem.radius is not None:  # the bound within the radius implies the nominal one
-        nominal = np.flatnonzero(of_M & ((problem.radius == 0) | (summed > 0)))
-        within = np.flatnonzero(of_M & (problem.radius > 0))
-        plant, frequency = np.append(0 * within, plant), np.append(within, frequency)
-    cost, limits, levels, of_cuts, of_L = levels_of(problem)
-    M = bound_on_M(problem, 0 * nominal, nominal, None, levels[nominal])
-    W = np.ascontiguousarray(np.moveaxis(problem.weight, 0, -1), dtype=complex)
-    L = Bound(0 * W, W, every, np.full(len(every), of_L))
-    cuts = bound_on_M(problem, plant, frequency, problem.radius, np.full(len(plant), of_cuts))
-    M, cuts = (_by_K(problem, bound) for bound in (M, cuts))
-    bounds = (joined(M, L, cuts),) if problem.radius is None else (joined(M, L), cuts)
+    every, radius = np.arange(len(problem.omega)), problem.radius
+    nominal, plant, frequency = _bounded(problem, np.array(plant, int), np.array(frequency, int))
+    cost, limits, of_M, of_cuts, of_L = levels_of(problem)
+    W = _long(problem.weight)
+    M = bound_on_M(problem, 0 * nominal, nominal, None, of_M[nominal])
+    L = Bound(0 * W, W, every, 0 * every + of_L)
+    cuts = bound_on_M(problem, plant, frequency, radius, of_cuts)
+    bounds = (joined(M, L, cuts),) if radius is None else (joined(M, L), cuts)
     basis, R = whitened_basis(problem)
     rows, cols = entries_of(problem.channels, problem.structure)
-    most = GENEROUS if problem.objective == "gain" else problem.M_max
+    most = GENEROUS if problem.objective.kind == "gain" else problem.M_max
     program = Program(bounds, basis, rows, cols, cost, np.array(limits), most)
     return Formulation(problem, program, R, nominal, plant, frequency)
+
+
+def _bounded(problem, plant, frequency):
+    """Frequencies of bounds on the nominal M, and plants and frequencies of the cuts."""
+    summed, radius = problem.objective.summed, problem.radius
+    of_M = (problem.Q != 0) | summed  # elsewhere L alone is bounded
+    # the bound within the radius implies the nominal one
+    within = np.zeros(len(of_M), bool) if radius is None else of_M & (radius > 0)
+    nominal, within = np.flatnonzero(of_M & (summed | ~within)), np.flatnonzero(within)
+    return nominal, np.append(0 * within, plant), np.append(within, frequency)

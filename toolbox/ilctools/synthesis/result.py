@@ -162,8 +162,7 @@ class Synthesis:
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
         check_match(design=design.response.signals, P=problem.response.signals)
-        L = design.learned(self.solution)
-        return on_one_thread(check)(problem, L).convergence
+        return on_one_thread(check)(problem, self.certificate.filter).convergence
 
     def __repr__(self):
         return repr(self.certificate)

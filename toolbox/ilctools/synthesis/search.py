@@ -52,12 +52,13 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **choices)
     free = certified(problem)
     unit = free.sigma_L.max()  # a gain that is enough
-    question = replace(problem, objective="gain", L_max=unit)
+    question = replace(problem, objective=replace(problem.objective, kind="gain"))
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
                 room = same * problem.unit(free.value)
-                _, found = solve_everywhere(replace(question, M_max=free.value + room))
+                bounds = replace(problem.bounds, M_max=free.value + room, L_max=unit)
+                _, found = solve_everywhere(replace(question, bounds=bounds))
             L_max = unit * found.largest
             break
         except (Infeasible, RuntimeError):
@@ -67,4 +68,4 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             "the least gain was not found: filters that keep the least peak are too much alike; "
             "take a shorter filter, or synthesise with an L_max"
         )
-    return warned(certified(replace(problem, L_max=L_max)))
+    return warned(certified(replace(problem, bounds=replace(problem.bounds, L_max=L_max))))

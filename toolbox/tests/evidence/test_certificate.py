@@ -25,7 +25,7 @@ from ilctools.evidence.certificate import certify, check
 from ilctools.evidence.peak import peak_of_M
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import Solution
+from ilctools.problem.problem import Bounds, Solution
 
 OMEGA = np.geomspace(1e-3, np.pi, 64)  # one round is enough for four samples, see problem.grid
 BUTTERWORTH = zero_phase_butterworth(2, 0.3, 1.0)
@@ -93,8 +93,8 @@ def test_a_certificate_in_print(good):
 
 
 def test_what_does_not_limit_is_not_named(good):
-    looser = replace(good.problem, M_max=0.999, L_max=1e4)
-    free = replace(good, problem=looser)
+    looser = replace(good.problem, bounds=Bounds(0.999, 1e4))
+    free = replace(good, problem=looser, grid=looser)
     assert "\nlimited by order = 10 (P lags" in f"{free}"
     assert 10 < good.problem.delay < 20  # by the zeros of the loop, see notebook 7
 
@@ -129,7 +129,7 @@ def test_a_certificate_fails_from_the_tolerance_on(good):
     """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; M from one on anywhere."""
 
     def failures(sigma_M=0.9, all_M=0.9, **changes):
-        worst = replace(good.worst, sigma=np.full(good.problem.omega.shape, sigma_M))
+        worst = replace(good.worst, sigma=np.full(good.grid.omega.shape, sigma_M))
         peak = replace(good.peak, sigma=all_M, omega=0.25)
         changed = replace(good, worst=worst, exact=[peak], **changes)
         assert str(changed).count("FAILS: ") == len(changed.failures)
@@ -231,7 +231,7 @@ def test_learning_that_does_nothing_is_named():
     problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = 0 * response(MODELS[0])
     nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, 0)
-    [found] = certify(problem, nothing).warnings
+    [found] = certify(problem, problem, nothing).warnings
     assert (found.code, found.value) == ("idle", 1)
 
 
@@ -244,7 +244,7 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
     assert certificate.proven and certificate.failures == certificate.warnings == []
     assert certificate.grid_M == pytest.approx(0.6, rel=1e-9)
     assert f"of the nominal plant {design.sigma_M.max():.8f}" in text
-    problem = replace(certificate.problem, M_max=0.1, stated=None)
+    problem = replace(certificate.problem, bounds=Bounds(0.1, None))
     peak = replace(certificate.peak, sigma=1.1)
     broken = replace(certificate, problem=problem, exact=[peak]).failures
     assert codes(broken) == ["M", "one or more"] and broken[1].value == 1.1

@@ -15,7 +15,7 @@ from ilctools.problem.pose import pose
 def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
     chosen, paper = pose(loop, Q), pose(loop, Q, omega, **paper_choices())
     np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
-    assert chosen.band == pytest.approx((1e-4, 0.1), rel=1e-12)
+    assert chosen.objective.band == pytest.approx((1e-4, 0.1), rel=1e-12)
     assert (chosen.L_max, paper.L_max, paper.structure) == (200.0, 50.0, "diagonal")
     names = [text.split(" = ")[0] for text in chosen.chosen]
     assert names == ["chosen: order", "chosen: band", "chosen: L_max"]
@@ -30,7 +30,9 @@ def test_time_and_unit_may_be_others(factor, unit):
         for Ts, size in ((1.0, 1.0), (factor, unit))
     )
     np.testing.assert_allclose(fast.omega * factor, slow.omega, rtol=1e-9)
-    np.testing.assert_allclose(np.array(fast.band) * factor, slow.band, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.array(fast.objective.band) * factor, slow.objective.band, rtol=1e-9
+    )
     assert fast.order == slow.order == 41  # a delay of one, and 4 / (cutoff Ts)
     exact = defaults.ROOM * abs(np.exp(0.1j) - 0.9) / 0.1 / unit  # / |P| at the cut-off
     assert exact <= fast.L_max * (1 + 1e-3) and fast.L_max < 2.001 * exact

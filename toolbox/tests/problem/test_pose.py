@@ -85,7 +85,7 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
     assert other.check([P, P]).gamma == pytest.approx(one.certificate.rate, rel=1e-5)
     reference = bump(60, [1.0, 3.0])
     weights = [
-        pose(plant, Q, OMEGA, 1.0, scale=scale, reference=scale * reference).weights
+        pose(plant, Q, OMEGA, 1.0, scale=scale, reference=scale * reference).objective.weights
         for plant, scale in ((COUPLED, np.ones(2)), (P, np.diag(unit)))
     ]
     np.testing.assert_allclose(*weights, rtol=1e-9)

@@ -31,15 +31,15 @@ def test_power_and_weights_are_those_of_a_simulated_trial(kind):
         e = first_error_of(loop, reference)
         fading = np.cos(np.linspace(0, np.pi / 2, 30)) ** 2
         e = np.concatenate([e, fading[:, None] * e[-1]])
-        total = np.trace(problem.first_error.sum(axis=0)).real
+        total = np.trace(problem.objective.first_error.sum(axis=0)).real
         assert total == pytest.approx((e**2).sum() / 300, rel=0.02)
         E = np.polynomial.polynomial.polyval(np.exp(-1j * angles), e)
         middles = (angles[1:] + angles[:-1]) / 2
         widths = np.diff([0, *middles, np.pi])
         amplitude = np.linalg.norm(E, axis=0) * widths
         expected = amplitude / amplitude.sum()
-        assert np.abs(problem.weights - expected).sum() < 0.05
-        assert problem.weights.sum() == pytest.approx(1)
+        assert np.abs(problem.objective.weights - expected).sum() < 0.05
+        assert problem.objective.weights.sum() == pytest.approx(1)
 
 
 def test_a_narrow_line_between_the_frequencies_is_not_missed():
@@ -48,10 +48,10 @@ def test_a_narrow_line_between_the_frequencies_is_not_missed():
     Q, omega = zero_phase_butterworth(2, 5.0, 0.1), np.linspace(0.5, 30, 60)
     sine = np.sin(2.75 * 0.1 * np.arange(2285))[:, None] * [1.0, 0.0]
     problem = pose(loop, Q, omega, reference=sine)
-    power = np.trace(problem.first_error, axis1=1, axis2=2).real
+    power = np.trace(problem.objective.first_error, axis1=1, axis2=2).real
     expected = (first_error_of(loop, sine) ** 2).sum(axis=1).mean()
     assert power[4:6].sum() == pytest.approx(expected, rel=0.1)
-    assert problem.weights[4:6].sum() > 0.7
+    assert problem.objective.weights[4:6].sum() > 0.7
 
 
 def test_samples_and_measured_responses_give_the_weights_of_their_model():
@@ -66,7 +66,7 @@ def test_samples_and_measured_responses_give_the_weights_of_their_model():
     for plant in (model, ClosedLoop(model), table, measured_response(table), [model]):
         problems.append(pose(plant, Q, omega, reference=exchanged))
     # differences of a running integral, exact to rounding relative to its end
-    atol = 1e-13 * np.trace(problems[0].first_error.sum(axis=0)).real
+    atol = 1e-13 * np.trace(problems[0].objective.first_error.sum(axis=0)).real
     for problem in problems[1:]:
-        power = problem.first_error
-        np.testing.assert_allclose(power, problems[0].first_error, rtol=1e-9, atol=atol)
+        power = problem.objective.first_error
+        np.testing.assert_allclose(power, problems[0].objective.first_error, rtol=1e-9, atol=atol)

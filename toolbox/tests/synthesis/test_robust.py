@@ -45,7 +45,7 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
         except InfeasibleError as error:
             choices["M_max"] = 1.01 * error.smallest_M_max
     ours = synthesise(P, Q, omega, 1.0, **choices)
-    theirs, *_ = optimum(ours.certificate.problem)  # with all bounds that were needed
+    theirs, *_ = optimum(ours.certificate.grid)  # with all bounds that were needed
     assert ours.value == pytest.approx(theirs, rel=1e-5)
     assert ours.certificate.gap < 1e-6
     nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
@@ -68,7 +68,7 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
         sigma = [largest_singular_values(problem.M(L, k)) for k in range(5)]
         largest = np.max(sigma)
         assert largest <= 0.9 * (1 + 1e-9)
-        values.append(largest if objective == "peak" else problem.value(sigma[0]))
+        values.append(largest if objective == "peak" else problem.objective.value(sigma[0]))
     assert values[1] == pytest.approx(values[0], rel=1e-7)
     assert some.cuts is None or len(some.cuts.plant) < 4 * len(omega)
 

@@ -26,9 +26,9 @@ def test_the_weighted_sum_is_minimised(m, structure, kind):
     L = np.einsum("ijk,nk->nij", design.filter.coefficients, z)
     M = Q[:, None, None] * (np.eye(m) - P @ L)
     sigma = np.linalg.norm(M, 2, axis=(1, 2))
-    assert design.value == pytest.approx(problem.weights @ sigma, rel=1e-9)
+    assert design.value == pytest.approx(problem.objective.weights @ sigma, rel=1e-9)
     assert design.certificate.gap < 1e-6
-    theirs, *_ = optimum(design.certificate.problem)
+    theirs, *_ = optimum(design.certificate.grid)
     assert design.value == pytest.approx(theirs, abs=1e-6 * problem.idle)
     band = synthesise(plants, Q, omega, 1.0, band=(0.01, 0.3), **choices)
     assert problem.value(band.sigma_M) > design.value
@@ -44,9 +44,9 @@ def test_a_reference_goes_with_everywhere_and_without_Q(loop):
     design = synthesise(loop, Q, omega, everywhere=True, **choices)
     certificate = design.certificate
     assert certificate.all_M <= 0.9 * (1 + 1e-6)
-    assert len(certificate.problem.omega) > 200
-    weighted = certificate.problem.weights > 0
-    assert set(certificate.problem.omega[weighted]) <= set(omega)
+    assert len(certificate.grid.omega) > 200
+    weighted = certificate.grid.objective.weights > 0
+    assert set(certificate.grid.omega[weighted]) <= set(omega)
     assert design.value >= plain.value * (1 - 1e-9)
     chosen = synthesise([loop, loop], None, omega, reference=reference)
     assert chosen.problem.lowpass.cutoff > 0.02 and chosen.certificate.predicted[2] > 0
