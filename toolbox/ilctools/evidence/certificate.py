@@ -169,24 +169,23 @@ class Certificate:
     @property
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
-        problem, peak = self.problem, highest(self.exact)
-        M_max, L_max = problem.M_max, problem.L_max or np.inf
+        problem, peak, beyond = self.problem, highest(self.exact), self.beyond
         on_grid, anywhere = 1 + VIOLATION, 1 + CLOSE
-        found = []
-        if self.gap > GAP:
-            found.append(Finding("gap", self.gap, GAP))
-        if self.grid_M > M_max * on_grid:
-            found.append(Finding("M", self.grid_M, M_max, self._place()))
-        if self.grid_L > L_max * on_grid:
-            found.append(Finding("L", self.grid_L, L_max))
-        if problem.bounds.everywhere and self.all_M > M_max * anywhere:
-            found.append(Finding("M everywhere", self.all_M, M_max, self._place(self.peak)))
-        if problem.bounds.everywhere and self.all_L > L_max * anywhere:
-            found.append(Finding("L everywhere", self.all_L, L_max))
+        M_max, L_max = problem.M_max, problem.L_max or np.inf
+        claims = [
+            (1, Finding("gap", self.gap, GAP)),
+            (on_grid, Finding("M", self.grid_M, M_max, self._place())),
+            (on_grid, Finding("L", self.grid_L, L_max)),
+        ]
+        if problem.bounds.everywhere:
+            at = self._place(self.peak)
+            claims.append((anywhere, Finding("M everywhere", self.all_M, M_max, at)))
+            claims.append((anywhere, Finding("L everywhere", self.all_L, L_max)))
+        found = [claim for tolerance, claim in claims if claim.value > claim.limit * tolerance]
         if peak and peak.sigma >= 1 and not self.deaf:
             found.append(Finding("one or more", peak.sigma, 1, self._place(peak)))
-        if self.beyond and self.beyond.sigma >= 1 and not problem.findings:
-            found.append(Finding("beyond", self.beyond.sigma, 1, self._place(self.beyond)))
+        if beyond and beyond.sigma >= 1 and not problem.findings:
+            found.append(Finding("beyond", beyond.sigma, 1, self._place(beyond)))
         return found
 
     @property

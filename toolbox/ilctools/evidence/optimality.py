@@ -31,27 +31,15 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
     the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
     """
-    Q, angles = problem.Q, problem.omega * problem.Ts
-    by_K, every = problem.through_base, np.arange(len(problem.omega))
-    parts = [(by_K(problem.affine(0, every, None)[1], every), U, angles)]
-    if V is not None:  # in units of the bound: the size of the objective
-        W = problem.weight
-        parts.append((W, np.linalg.solve(W, V), angles))
-    if cuts is not None:
-        F, T = problem.affine(cuts.plant, cuts.frequency, problem.radius)
-        nonzero = (np.abs(T) + np.abs(F)).max(axis=2, keepdims=True) > 0
-        T = by_K(T, cuts.frequency)
-        parts.append((T, cuts.N * nonzero, angles[cuts.frequency]))
-    U, *others = _projected(problem, parts)
+    parts = _parts(problem, U, V, cuts)
+    U, *others = multipliers = _projected(problem, parts)
 
-    bound = (np.trace(U.conj(), axis1=1, axis2=2) * Q).real.sum()
+    bound = sum((N.conj() * F).real.sum() for N, (F, *_) in zip(multipliers, parts, strict=True))
     norms, dual = _nuclear_norms(U), 0.0
     if V is not None:
         bound -= _nuclear_norms(others[0]).sum()
     if cuts is not None:
-        N = others[-1]
-        bound += (N.conj() * F).real.sum()
-        dual = dual_norm(N).sum()
+        dual = dual_norm(others[-1]).sum()
     if problem.objective.kind == "peak":
         bound /= norms.sum() + dual
     else:
@@ -60,25 +48,39 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     return max(0.0, float(bound))  # the objective is never negative
 
 
+def _parts(problem, U, V, cuts):
+    """F, T and N of each G = F + T L, T for what K makes, and the frequencies, by number."""
+    by_K, every = problem.through_base, np.arange(len(problem.omega))
+    F, T = problem.affine(0, every, None)
+    parts = [(F, by_K(T, every), U, every)]
+    if V is not None:  # in units of the bound: the size of the objective
+        W = problem.weight
+        parts.append((0 * W, W, np.linalg.solve(W, V), every))
+    if cuts is not None:
+        F, T = problem.affine(cuts.plant, cuts.frequency, problem.radius)
+        nonzero = (np.abs(T) + np.abs(F)).max(axis=2, keepdims=True) > 0
+        parts.append((F, by_K(T, cuts.frequency), cuts.N * nonzero, cuts.frequency))
+    return parts
+
+
 def _projected(problem, parts):
-    """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
-    m = problem.channels
-    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts])
-    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts], dtype=complex)
-    angles = np.concatenate([np.repeat(at, T.shape[1]) for T, _, at in parts])
+    """Multipliers N of parts (F, T, N, at), projected on those that no change of L changes."""
+    m, shapes = problem.channels, [T.shape for _, T, _, _ in parts]
+    T = np.concatenate([T.reshape(-1, m) for _, T, _, _ in parts])
+    N = np.concatenate([N.reshape(-1, m) for _, _, N, _ in parts], dtype=complex)
+    at = np.concatenate([np.repeat(at, T.shape[1]) for _, T, _, at in parts])
     # What the coefficients of a column of L can change: all of its rows, or the diagonal one.
-    columns = [range(m)]
-    if problem.structure == "diagonal":
-        columns = [[k] for k in range(m)]
+    columns = [range(m)] if problem.structure == "full" else [[k] for k in range(m)]
     for column in columns:
-        changes = _changes(T[:, column], angles, problem.order)
+        changes = _changes(T[:, column], problem.response.angles[at], problem.order)
         rows = _rows(N[:, column])
         for _ in range(2):  # once leaves what rounding has put back
             rows -= (rows @ changes.T) @ changes
         N[:, column] = rows.view(complex).T
-    ends = np.cumsum([T.size // m for T, _, _ in parts])
-    pieces = zip(np.split(N, ends[:-1]), parts, strict=True)
-    return [piece.reshape(T.shape) for piece, (T, _, _) in pieces]
+    ends = np.cumsum([np.prod(shape[:2]) for shape in shapes])
+    return [
+        piece.reshape(shape) for piece, shape in zip(np.split(N, ends[:-1]), shapes, strict=True)
+    ]
 
 
 def _nuclear_norms(N):

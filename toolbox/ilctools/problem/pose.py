@@ -50,31 +50,19 @@ def pose(
     gain = _gain(response, cutoff, close=pooled)
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
-    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
     structure = arguments.choice("structure", structure, ["diagonal", "full"])
-    kind = arguments.choice("objective", objective, ["sum", "peak"])
-    everywhere = arguments.flag("everywhere", everywhere)
     order = _order(response, cutoff, order, base, chosen)
-    objective = _objective(response, cutoff, kind, band, reference, chosen)
     Q = lowpass.frequency_response(response.omega)
-    _refuse_idle(Q if kind == "peak" else Q[objective.weights > 0])
-    L_max = _bound_on_L(L_max, gain, pooled, chosen)
-    chosen = [f"chosen: {text}" for text in chosen] + (
-        [] if scale is not None else _units(response)
-    )
+    objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
+    bounds = _bounds(M_max, L_max, everywhere, gain, pooled, chosen)
+    chosen = [f"chosen: {text}" for text in chosen]
+    if scale is None:
+        chosen += _units(response)
     if base is not None:
-        base, text = _base(response, lowpass, structure, base, L_max or gain, reach)
+        base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
     return Problem(
-        response=response,
-        lowpass=lowpass,
-        Q=Q,
-        objective=objective,
-        bounds=Bounds(M_max, L_max, everywhere),
-        order=order,
-        structure=structure,
-        base=base,
-        chosen=tuple(chosen),
+        response, lowpass, Q, objective, bounds, order, structure, base, chosen=tuple(chosen)
     )
 
 
@@ -148,22 +136,29 @@ def _order(response, cutoff, order, base, chosen):
     return order
 
 
-def _objective(response, cutoff, kind, band, reference, chosen):
+def _objective(response, cutoff, Q, kind, band, reference, chosen):
     """What is minimised: a sum in a band, or weighted by the first error of a reference; a peak."""
-    summed = kind == "sum"
+    summed = arguments.choice("objective", kind, ["sum", "peak"]) == "sum"
+    power = None
     if reference is None:
         band, weights = _of_band(response.omega, cutoff, band, summed, chosen)
-        return Objective(kind, weights, band)
-    if band is not None or not summed:
+    elif band is not None or not summed:
         raise ValueError(
             f"reference takes the place of the band in the sum (39), but band = {band!r} and "
             f"objective = {kind!r}: leave these out, or the reference"
         )
-    m = len(response.scale)
-    names = response.signals.labels[:m] or arguments.names_of(reference) or range(m)
-    r = arguments.in_columns("reference", reference, ("time", m), names) / response.scale
-    power, weights = first_error(response.P[0], response.angles, r)
-    return Objective(kind, weights, first_error=power)
+    else:
+        m = len(response.scale)
+        names = response.signals.labels[:m] or arguments.names_of(reference) or range(m)
+        r = arguments.in_columns("reference", reference, ("time", m), names) / response.scale
+        power, weights = first_error(response.P[0], response.angles, r)
+    largest = np.abs(Q[weights > 0] if summed else Q).max()
+    if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
+        raise ValueError(
+            f"Q has a gain of {largest:.3g} at most where the objective counts, so that nothing "
+            "is learned: its cut-off must be in rad/s"
+        )
+    return Objective(kind, weights, band, power)
 
 
 def _of_band(omega, cutoff, band, summed, chosen):
@@ -185,15 +180,16 @@ def _of_band(omega, cutoff, band, summed, chosen):
     return band, inside.astype(float)
 
 
-def _bound_on_L(L_max, gain, close, chosen):
-    """The bound on sigma_max(L), or None."""
+def _bounds(M_max, L_max, everywhere, gain, close, chosen):
+    """The bounds on sigma_max(M) and on sigma_max(L), which may be None."""
+    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
-    if L_max is None:
-        return None
-    what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
-    return arguments.positive("L_max", L_max, what)
+    if L_max is not None:
+        what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
+        L_max = arguments.positive("L_max", L_max, what)
+    return Bounds(M_max, L_max, arguments.flag("everywhere", everywhere))
 
 
 def _gain(response, cutoff, close):
@@ -202,16 +198,6 @@ def _gain(response, cutoff, close):
     radius = 0 if response.radius is None else response.radius
     smallest = np.maximum(_smallest_singular_values(response), radius)
     return defaults.gain(cutoff, smallest, response.omega, close)
-
-
-def _refuse_idle(Q):
-    """Refuse a Q that leaves nothing to learn where the objective counts."""
-    largest = np.abs(Q).max()
-    if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
-        raise ValueError(
-            f"Q has a gain of {largest:.3g} at most where the objective counts, so that nothing "
-            "is learned: its cut-off must be in rad/s"
-        )
 
 
 def _learnable(response, cutoff):

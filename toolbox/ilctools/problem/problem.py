@@ -61,7 +61,7 @@ class Bounds:
     everywhere: bool = False  # whether they hold between the frequencies, too
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Problem:
     """The problem of a learning filter. Made by :func:`.pose.pose`, at the design frequencies.
 

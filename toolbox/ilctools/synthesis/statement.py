@@ -37,38 +37,39 @@ def statement(
     """
     n, m, _ = P.shape
     z = np.exp(1j * omega * Ts)[:, None] ** np.arange(1, order + 1)
-    R = np.linalg.qr(np.vstack([z.real, z.imag]), mode="r") / np.sqrt(n)
-    basis, taps, t = z @ np.linalg.inv(R), cp.Variable((order, m * m)), cp.Variable(n)
-    real, imag = (
-        cp.reshape(part @ taps, (n, m, m), order="C") for part in (basis.real, basis.imag)
-    )
-    L = blocks(real, -imag, imag, real)  # (44)
-    q, identity = Q[:, None, None], np.tile(np.eye(2 * m), (n, 1, 1))
-    P = blocks(P.real, -P.imag, P.imag, P.real).value
-    M = q * identity - (q * P) @ L  # (40)
-    bounds = [sigma_max_at_most(M, t, identity), t <= M_max]
+    inverse = np.linalg.inv(np.linalg.qr(np.vstack([z.real, z.imag]), mode="r")) * np.sqrt(n)
+    taps, t = cp.Variable((order, m * m)), cp.Variable(n)
+    L = cp.reshape((z @ inverse) @ taps, (n, m, m), order="C")  # (44)
+    M = Q[:, None, None] * np.eye(m) - (Q[:, None, None] * P) @ L  # (40)
+    bounds = [sigma_max_at_most(M, t), t <= M_max]
     if L_max is not None:
-        bounds.append(sigma_max_at_most(L, np.full(n, L_max), identity))  # (46)
+        bounds.append(sigma_max_at_most(L, np.full(n, L_max)))  # (46)
     if structure == "diagonal":
         bounds.append(taps[:, ~np.eye(m, dtype=bool).ravel()] == 0)
     in_band = t if band is None else t[(omega >= band[0]) & (omega <= band[1])]
     cost = cp.sum(in_band) if objective == "sum" else cp.max(t)  # (39), (45)
+    value = least(cost, bounds)
+    C = np.full((order, m * m), np.nan) if taps.value is None else inverse @ taps.value
+    return C.T.reshape(m, m, order), value
+
+
+def least(cost, bounds) -> float:
+    """The least cost within the bounds, by Clarabel."""
     problem = cp.Problem(cp.Minimize(cost), bounds)
     options = {"canon_backend": cp.SCIPY_CANON_BACKEND, "chordal_decomposition_enable": False}
     with warnings.catch_warnings(action="ignore"):  # "may be inaccurate": about 1e-6
-        problem.solve(solver=cp.CLARABEL, **options)
-    if taps.value is None:
-        return np.full((m, m, order), np.nan), problem.value
-    return (np.linalg.inv(R) @ taps.value).T.reshape(m, m, order), problem.value
+        return problem.solve(solver=cp.CLARABEL, **options)
+
+
+def sigma_max_at_most(G, b):
+    """sigma_max(G_i) <= b_i."""
+    n, m, _ = G.shape
+    G = blocks(cp.real(G), -cp.imag(G), cp.imag(G), cp.real(G))
+    corner = cp.multiply(cp.reshape(b, (n, 1, 1), order="C"), np.tile(np.eye(2 * m), (n, 1, 1)))
+    return blocks(corner, G, cp.swapaxes(G, 1, 2), corner) >> 0
 
 
 def blocks(upper_left, upper_right, lower_left, lower_right):
     """A block matrix for each frequency."""
     upper = cp.concatenate([upper_left, upper_right], axis=2)
     return cp.concatenate([upper, cp.concatenate([lower_left, lower_right], axis=2)], axis=1)
-
-
-def sigma_max_at_most(G, b, identity):
-    """sigma_max(G_i) <= b_i."""
-    corner = cp.multiply(cp.reshape(b, (len(identity), 1, 1), order="C"), identity)
-    return blocks(corner, G, cp.swapaxes(G, 1, 2), corner) >> 0

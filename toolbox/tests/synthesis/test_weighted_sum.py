@@ -31,7 +31,7 @@ def test_the_weighted_sum_is_minimised(m, structure, kind):
     theirs, *_ = optimum(design.certificate.grid)
     assert design.value == pytest.approx(theirs, abs=1e-6 * problem.idle)
     band = synthesise(plants, Q, omega, 1.0, band=(0.01, 0.3), **choices)
-    assert problem.value(band.sigma_M) > design.value
+    assert problem.objective.value(band.sigma_M) > design.value
 
 
 def test_a_reference_goes_with_everywhere_and_without_Q(loop):
