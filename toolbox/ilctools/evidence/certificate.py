@@ -59,6 +59,12 @@ class Certificate:
         return self.worst.sigma.max()
 
     @property
+    def on_grid(self) -> Peak:
+        """The highest on the grid."""
+        plant, at = self.worst.tied[0]
+        return Peak(self.grid_M, self.grid.omega[at], plant)
+
+    @property
     def peak(self) -> Peak:
         """The highest over all frequencies."""
         return highest([*self.exact, *self.estimated])
@@ -81,8 +87,7 @@ class Certificate:
     @property
     def highest_peak(self) -> Peak:
         """The highest of all that is proven, estimated or assumed, whatever the place."""
-        plant, at = self.worst.tied[0]
-        peaks = [Peak(self.grid_M, self.grid.omega[at], plant), *self.exact, *self.estimated]
+        peaks = [self.on_grid, *self.exact, *self.estimated]
         return highest(peaks if self.beyond is None else [*peaks, self.beyond])
 
     @property
@@ -174,7 +179,7 @@ class Certificate:
         M_max, L_max = problem.M_max, problem.L_max or np.inf
         claims = [
             (1, Finding("gap", self.gap, GAP)),
-            (on_grid, Finding("M", self.grid_M, M_max, self._place())),
+            (on_grid, Finding("M", self.grid_M, M_max, self._place(self.on_grid))),
             (on_grid, Finding("L", self.grid_L, L_max)),
         ]
         if problem.bounds.everywhere:
@@ -206,12 +211,10 @@ class Certificate:
             found.append(Finding(code, peak.sigma, known, self._place(peak)))
         return found
 
-    def _place(self, peak=None):
-        """Where a peak is, by default that at omega, and of which plant."""
-        plant, at = self.worst.tied[0]
-        plant, omega = (plant, self.grid.omega[at]) if peak is None else (peak.plant, peak.omega)
-        of_plant = f"of plant {plant} at " if len(self.problem.plants) > 1 else "at "
-        return f"{of_plant}{omega:.4g} rad/s"
+    def _place(self, peak):
+        """Where a peak is, and of which plant."""
+        of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
+        return f"{of_plant}{peak.omega:.4g} rad/s"
 
     def __repr__(self):
         near = self.grid.omega[self.worst.sigma >= 0.99 * self.rate]
@@ -302,7 +305,9 @@ class Certificate:
         problem, omega, lines = self.problem, self.problem.omega, []
         if problem.robust:
             of_P = f"of the nominal plant {self.worst.peaks[0]:.8f}"
-            lines.append(f"largest{self._whom()}: {self._place()}, on the design grid; {of_P}")
+            lines.append(
+                f"largest{self._whom()}: {self._place(self.on_grid)}, on the design grid; {of_P}"
+            )
         if self.exact and self.estimated:
             sigma = highest(self.exact).sigma
             lines.append(f"sigma_max(M) of models alone at all frequencies, proven: {sigma:.6f}")

@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 
 from ilctools.evidence.peak import DENSER, dense_grid
 from ilctools.evidence.robustness import within_radius
-from ilctools.problem.problem import Problem, convergence_matrix
+from ilctools.problem.problem import Problem
 
 GAINS = np.geomspace(1, 10, 13)  # steps outwards; the last is where the search ends
 TIMES = np.geomspace(1, 8, 25)
@@ -68,9 +68,9 @@ def margins(problem: Problem, L) -> Margins:
         at = at[(slower * at <= last) | (not problem.response.sampled)]
         turned = gain * np.exp(-1j * at * delay * problem.Ts)[:, None, None]
         plants, Q, L = P_at(np.clip(slower * at, first, last)), Q_at(at), L_at(at)
-        rho_L = np.abs(Q)[:, None, None] * radius * unit * L
-        M = (convergence_matrix(turned * P, Q, L) for P in plants.swapaxes(0, 1))
-        return max(within_radius(M_k, rho_L, 1.0).max() for M_k in M)
+        return max(
+            within_radius(turned * P, Q, L, radius * unit, 1.0).max() for P in plants.swapaxes(0, 1)
+        )
 
     limit, samples = partial(_limit, sigma), TURN / (problem.lowpass.cutoff * problem.Ts)
     return Margins(

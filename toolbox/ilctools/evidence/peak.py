@@ -163,8 +163,7 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
         def sigma_M(omega, k=k):
             (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
             of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-            rho_L = (np.abs(Q) * radius)[:, None, None] * of_L
-            return within_radius(convergence_matrix(P, Q, of_L), rho_L, level)
+            return within_radius(P, Q, of_L, radius, level)
 
         omega = dense_grid(response, k, L)
         sigma = sigma_M(omega)

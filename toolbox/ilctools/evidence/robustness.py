@@ -12,7 +12,7 @@ from scipy.special import expit
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter, check_learning
-from ilctools.problem.problem import Problem
+from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
@@ -83,11 +83,12 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     return WorstCase(sigma.max(axis=0), nominal.max(axis=1), pairs)
 
 
-def within_radius(M, rho_L, level):
-    """The worst case at each frequency, (n,), of M and |Q| r L, (n, m, m).
+def within_radius(P, Q, L, radius, level):
+    """The worst case at each frequency, (n,), of P and L, (n, m, m), within a radius.
 
     Exact from `NEAR` times the level on, an upper bound below.
     """
+    M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
     wider = largest_singular_values(rho_L)
     sigma = largest_singular_values(M) + wider
     near = (sigma >= NEAR * level) & (wider > 0)

@@ -48,5 +48,4 @@ def worst_sigma(problem, L, k, level):
     """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
     if problem.radius is None:
         return largest_singular_values(problem.M(L, k))
-    rho_L = (np.abs(problem.Q) * problem.radius)[:, None, None] * L
-    return within_radius(problem.M(L, k), rho_L, level)
+    return within_radius(problem.plants[k], problem.Q, L, problem.radius, level)

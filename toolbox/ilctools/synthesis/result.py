@@ -67,12 +67,12 @@ class Synthesis:
         As are P and L: as python-control has them, without a sampling period, since of samples
         with one it draws nothing. The picture is ``control.singular_values_response(M).plot()``.
         """
-        return self._frd("M", self.problem.M(self._response_of_L()))
+        return self._frd("M", self.problem.M(self.problem.L(self.solution)))
 
     @property
     def L(self) -> control.FrequencyResponseData:
         """L at `omega`; of others, in the plant's units, ask `filter`."""
-        return self._frd("L", self._response_of_L())
+        return self._frd("L", self.problem.L(self.solution))
 
     @property
     def P(self) -> control.FrequencyResponseData:
@@ -92,9 +92,6 @@ class Synthesis:
                 f"options = {reprlib.repr(options)} must be those of control.singular_values_plot: "
                 f"{error}"
             ) from None
-
-    def _response_of_L(self):
-        return self.problem.L(self.solution)[: len(self.omega)]
 
     def _frd(self, name, response):
         return control.frd(np.moveaxis(response, 0, -1), self.omega, None, name=name)

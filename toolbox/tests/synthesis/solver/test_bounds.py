@@ -27,9 +27,10 @@ def test_the_value_is_the_largest_singular_value(m, seed):
 @given(st.integers(1, 3), st.integers(0, 999))
 def test_for_a_radius_the_least_value_is_the_worst_case(m, seed):
     """max |M x| + |H x| over unit vectors, by a search; m = 1 in closed form."""
-    bound, G = bound_of(m, seed, np.linspace(0.05, 0.1, 6))
+    radius, (P, Q, _) = np.linspace(0.05, 0.1, 6), plant(m, n=6, seed=seed)
+    bound, G = bound_of(m, seed, radius)
     M, H = np.moveaxis(G[:m], -1, 0), np.moveaxis(G[m:], -1, 0)
-    value = within_radius(M, H, 0.0)
+    value = within_radius(P, Q, H / (np.abs(Q) * radius)[:, None, None], radius, 0.0)
     assert np.all(value <= bound.value(G, bound.first_share(G)) * (1 + 1e-12))
 
     def size(X, v):
