@@ -17,11 +17,12 @@ from ilctools import arguments
 from ilctools.files import keep_others, write_whole
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
-from ilctools.law.repetitive import next_samples, repeated
+from ilctools.law.repetitive import repeated
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.trials.diagnosis import diagnose
-from ilctools.trials.recorded import applied_v, commands, outputs_of
+from ilctools.trials.learn import applied_v, joined, next_v
+from ilctools.trials.recorded import outputs_of, parts_of, runs
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
@@ -108,18 +109,12 @@ class Replay:
         """
         if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE:
             return None
-        if isinstance(self.loop, ClosedLoop):
-            inputs = self.commands["applied"]
-        elif "u" in self.trials:
-            inputs = np.append(self.commands["applied"], self.disturbance, axis=2)
-        else:
+        if self.loop.asked(self.trials) is None:
             return None
-        return outputs_of(self.model, inputs, self.trials)
-
-    @cached_property
-    def commands(self) -> dict[str, np.ndarray]:
-        """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
-        return commands(self.trials, self.loop, self.law and self.law.actuators)
+        actuators = self.law and self.law.actuators
+        known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
+        outputs = [outputs_of(self.model, self.loop, actuators, run) for run in runs(known)]
+        return np.reshape(outputs, known.y.shape)
 
     @property
     def fit(self) -> pd.DataFrame | None:
@@ -136,16 +131,16 @@ class Replay:
         """Largest distance of v from that of the law; NaN where the trial before is missing."""
         if self.law is None:
             return None
-        v = self.trials.v.values
+        v, parts = self.trials.v.values, parts_of(self.trials)
         expected = np.full_like(v, np.nan)
         if self.numbers[0] == 1 and BEGUN not in self.trials.attrs:
             expected[0] = 0
         if self.resets or self.law.L is None:
             for k in np.flatnonzero(np.diff(self.numbers) == 1):
-                expected[k + 1] = self._v_after(k)
+                expected[k + 1] = next_v(self.law, v[k], True, parts[: k + 1])
         elif self.complete:
-            samples = v.shape[1]
-            later = repeated(self.law, *self._applied, samples, samples, v[..., 0].size)
+            applied, e = applied_v(self.law, joined(parts)), np.concatenate(self.trials.e.values)
+            later = repeated(self.law, applied, e, len(v[0]), len(v[0]), len(e))
             expected[1:] = later.reshape(expected[1:].shape)
         return self._by_trial(np.abs(v - expected).max(axis=1))
 
@@ -161,21 +156,7 @@ class Replay:
         """
         if self.law is None:
             return None
-        if self.resets:
-            return self._v_after(-1)
-        return next_samples(self.law, *self._applied, self.trials.v.values[-1])
-
-    @property
-    def _applied(self):
-        """v as far as it was applied, and e, (time, m), of all trials as one."""
-        v = applied_v(self.trials, self.law)
-        return np.concatenate(v), np.concatenate(self.trials.e.values)
-
-    def _v_after(self, k):
-        """The v that follows trial `k` of the log by the law."""
-        v, e = self.trials.v.values[k], self.trials.e.values[k]
-        commands = self.commands if self.law.limits else {}
-        return self.law.next(v, e, **{name: signal[k] for name, signal in commands.items()})
+        return next_v(self.law, self.trials.v.values[-1], self.resets, parts_of(self.trials))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:

@@ -75,9 +75,9 @@ class CurrentTrialLoop:
         """Names of what is sent to the actuators: the controls."""
         return self.controls
 
-    def asked(self, w, u) -> np.ndarray:
-        """The commands of a trial, by name those of `commands`: its controls u."""
-        return u
+    def asked(self, signals) -> np.ndarray | None:
+        """The commands of a trial, by name those of `commands`: its controls u, if it has them."""
+        return signals.get("u")
 
     def realised(self, v, u, applied) -> np.ndarray:
         """The v with which the loop would have asked for what was applied, instead of u.
@@ -109,7 +109,7 @@ class CurrentTrialLoop:
 
         Its frequency response from w is P of (31), and from d it is P-tilde of (32).
         """
-        return _close(self, self.plant)
+        return _from_w_and_d(self)
 
     def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
         """The loop (19) of the same controller around another plant, if it is stable.
@@ -118,25 +118,7 @@ class CurrentTrialLoop:
         are matched by name: it must have the loop's controls and outputs, and a disturbance that it
         lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
         """
-        plant = sampled_plant(plant)
-        check_match(loop=self, plant=Signals(plant.dt))
-        signals = [*plant.input_labels, *plant.output_labels]
-        missing = [n for n in [*self.controls, *self.outputs] if n not in signals]
-        if missing:
-            raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
-        ours, plant = self.plant.input_labels, plant[self.outputs, :]
-        picked = np.array([[a == b for b in ours] for a in plant.input_labels])
-        B, D = plant.B @ picked, plant.D @ picked
-        closed = _close(self, control.ss(plant.A, B, plant.C, D, plant.dt))
-        poles = closed.poles()
-        worst = poles[np.abs(poles).argmax()]
-        if abs(worst) > arguments.CIRCLE:
-            raise ValueError(
-                f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
-                f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "
-                "Rs or Ro"
-            )
-        return closed
+        return _from_w_and_d(self, plant)
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
         """P of (31), of the loop as designed or of the same controller around another plant.
@@ -166,7 +148,9 @@ class CurrentTrialLoop:
         G = arguments.array("plant", plant, (..., len(omega), m, m), complex)
         # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
         # the design, the observer sees (G - G_0) u more than it expects: u = U w + R (G - G_0) u.
-        U, R = np.split(frequency_response(reply(self), omega), 2, axis=2)
+        # It is computed from that loop, and not from the controller alone, which integrates.
+        replies = frequency_response(whole(self)[m:, :], omega)
+        U, R = replies[..., :m], replies[..., -m:]
         G_0 = frequency_response(self.plant[:, :m], omega)
         return G @ np.linalg.solve(np.eye(m) - R @ (G - G_0), U)
 
@@ -257,9 +241,9 @@ class ClosedLoop:
         """Names of what is sent to the rig: w."""
         return self.references
 
-    def asked(self, w, u) -> np.ndarray:
+    def asked(self, signals) -> np.ndarray:
         """The commands of a trial, by name those of `commands`: its w = r + v."""
-        return w
+        return signals["reference"] + signals["v"]
 
     def realised(self, v, u, applied) -> np.ndarray:
         """The v with which the loop would have asked for what was applied, instead of u."""
@@ -319,39 +303,59 @@ def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return A, np.pad(B, [(0, m), (0, 0)]), np.hstack([loop.Ks, np.eye(m)])
 
 
+def whole(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
+    """The loop (19), (18) around its plant or another, whose signals are matched by name.
+
+    Inputs are w, d and what is added to y before the observer (16) sees it; outputs y and u; the
+    states are those of the plant, x-hat and delta.
+    """
+    if plant is None:
+        return _close(loop, loop.plant)
+    plant = sampled_plant(plant)
+    check_match(loop=loop, plant=Signals(plant.dt))
+    signals = [*plant.input_labels, *plant.output_labels]
+    missing = [n for n in [*loop.controls, *loop.outputs] if n not in signals]
+    if missing:
+        raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
+    ours, plant = loop.plant.input_labels, plant[loop.outputs, :]
+    picked = np.array([[a == b for b in ours] for a in plant.input_labels])
+    B, D = plant.B @ picked, plant.D @ picked
+    closed = _close(loop, control.ss(plant.A, B, plant.C, D, plant.dt))
+    poles = closed.poles()
+    worst = poles[np.abs(poles).argmax()]
+    if abs(worst) > arguments.CIRCLE:
+        raise ValueError(
+            f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
+            f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "
+            "Rs or Ro"
+        )
+    return closed
+
+
 def _close(loop, plant):
-    """The controller of a loop around a plant with the same inputs and outputs."""
+    """The whole of a loop, stable or not, around a plant with the same inputs and outputs."""
     m = loop.plant.noutputs
     A, B, K = controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
     B = B + loop.KL @ Du  # u comes in by y, too
-    return control.ss(  # (19), of which (31) and (32) are the responses
+    return control.ss(  # (19), of which (31) and (32) are the responses, and (18)
         np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - B @ K]]),
-        np.block([[Bu @ loop.N, E], [B @ loop.N, loop.KL @ F]]),
-        np.hstack([plant.C, -Du @ K]),
-        np.hstack([Du @ loop.N, F]),
+        np.block([[Bu @ loop.N, E, 0 * Bu], [B @ loop.N, loop.KL @ F, loop.KL]]),
+        np.block([[plant.C, -Du @ K], [0 * plant.C, -K]]),
+        np.block([[Du @ loop.N, F, 0 * Du], [loop.N, 0 * F, 0 * Du]]),
         loop.Ts,
-        inputs=loop.references + loop.disturbances,
-        outputs=loop.outputs,
-        name="current-trial loop",
     )
+
+
+def _from_w_and_d(loop, plant=None):
+    """The loop (19) without noise, its signals by name."""
+    closed = with_noise(loop, plant)[:, : -len(loop.outputs)]
+    closed.update_names(
+        inputs=loop.references + loop.disturbances, outputs=loop.outputs, name="current-trial loop"
+    )
+    return closed
 
 
 def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
-    closed = loop.closed if plant is None else loop.around(plant)
-    others, m = loop.KL.shape
-    enters = np.pad(loop.KL, [(closed.nstates - others, 0), (0, 0)])
-    D = np.pad(closed.D, [(0, 0), (0, m)])
-    return control.ss(closed.A, np.hstack([closed.B, enters]), closed.C, D, loop.Ts)
-
-
-def reply(loop: CurrentTrialLoop) -> control.StateSpace:
-    """From w and what is added to y before the observer (16) sees it to the controls u, (18)."""
-    # With it the controller around another plant can be computed from the loop as designed, which
-    # is stable, and not from the controller alone, which integrates.
-    noisy, m = with_noise(loop), loop.plant.noutputs
-    B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
-    _, _, K = controller(loop)
-    C = np.pad(-K, [(0, 0), (loop.plant.nstates, 0)])  # (18)
-    return control.ss(noisy.A, B, C, np.pad(loop.N, [(0, 0), (0, m)]), loop.Ts)
+    return whole(loop, plant)[: len(loop.outputs), :]

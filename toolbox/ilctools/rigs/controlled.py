@@ -119,6 +119,7 @@ class ControlledRig:
         for name, value in self.decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
         self.set_limits(law, stop, reference)
+        self.size = reference.shape[:2]  # trials, samples
         self.clock, self.bring_back, self.leave_safe = (
             getattr(rig, name, None) for name in ("clock", "begin", "safe")
         )
@@ -164,11 +165,10 @@ class ControlledRig:
         """A signal with as many digits as are recorded."""
         return _rounded(values, self.decimals.get(name))
 
-    def commanded(self, disturbance, trials, samples) -> np.ndarray:
+    def commanded(self, disturbance) -> np.ndarray:
         """The commands to the disturbances that are inputs, shape (trial, time, them)."""
         names = self.loop.disturbances
-        d = np.zeros((samples, len(names))) if disturbance is None else disturbance
-        d = arguments.each_trial("disturbance", d, trials, samples, names, self.loop.Ts)
+        d = arguments.each_trial("disturbance", disturbance, *self.size, names, self.loop.Ts)
         nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
         if unknown := [name for name in nonzero if name not in self.recorded]:
             raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")

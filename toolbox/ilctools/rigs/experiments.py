@@ -9,14 +9,13 @@ from ilctools import arguments
 from ilctools.filters import Filter
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, NO_RESET, RESET, with_law
-from ilctools.law.repetitive import check_period
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.protocol import Rig
 from ilctools.rigs.recording import Experiment
 from ilctools.signals import check_match
-from ilctools.trials.learn import next_v
+from ilctools.trials.learn import asked_of, next_v
 
 
 def record(
@@ -145,23 +144,17 @@ def record(
     law = arguments.instance("law", law, Law).bound_to(loop)
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, Filter)  # or the log could not note it
-    trials = arguments.whole("trials", trials, 1)
-    goes_on = not arguments.flag("reset", reset)
-    reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
-    samples = reference.shape[1]
-    first = law.first(samples, v)
-    if goes_on:
-        check_period(law, samples)
-    controlled = ControlledRig(rig, loop, reference, law, stop, decimals, goes_on)
+    reference, first = asked_of(loop, law, reference, trials, v, reset)
+    controlled = ControlledRig(rig, loop, reference, law, stop, decimals, goes_on=not reset)
     law, pause = controlled.law, _checked_pause(pause, controlled)
     check_match(law=law, rig=controlled)
-    commanded = controlled.commanded(disturbance, trials, samples)
+    commanded = controlled.commanded(disturbance)
 
-    following = partial(next_v, law, first, not goes_on)
+    following = partial(next_v, law, first, reset)
     notes = with_law(xr.Dataset(), law).attrs
     if v is not None:
         notes[BEGUN] = "v of trial 1 was given"
-    if goes_on:
+    if not reset:
         notes[RESET] = NO_RESET
     return Experiment(controlled, reference, commanded, following, notes).run(pause, path)
 
@@ -233,7 +226,7 @@ def shake(
     shaken = arguments.instance("excitation", excitation, Excitation).signals
     controlled = ControlledRig(rig, loop, shaken, None, stop, decimals)
     check_match(loop=loop, rig=controlled, excitation=excitation)
-    commanded = controlled.commanded(None, *shaken.shape[:2])
+    commanded = controlled.commanded(None)
     limits = controlled.limits if loop.commands == loop.controls else None
     notes = with_excitation(xr.Dataset(), excitation, loop, limits).attrs
     following = lambda trials: shaken[len(trials)]  # noqa: E731

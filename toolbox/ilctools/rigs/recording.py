@@ -17,9 +17,10 @@ from ilctools.law.notes import KEYS, RESET
 from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
 from ilctools.logs.reader import read_log
 from ilctools.rigs.controlled import ControlledRig
-from ilctools.signals import SIGNALS, dataset
+from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import Part, joined, learn
+from ilctools.trials.recorded import parts_of
 from ilctools.trials.start import Start
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
@@ -139,9 +140,8 @@ class Experiment:
     def warnings(self) -> dict[str, str]:
         """What the last trial shows, with those before it, by kinds."""
         rig, trial, number, texts = self.rig, self.trials[-1], len(self.trials), {}
-        u = rig.loop.asked(trial["reference"] + trial["v"], trial.get("u"))
         limits = (rig.law and rig.law.limits) or rig.limits
-        beyond = commands_beyond(u, rig.commands, limits)
+        beyond = commands_beyond(rig.loop.asked(trial), rig.commands, limits)
         if beyond and rig.actuators is not None:
             texts["limits"] = beyond + CUT_OFF
         elif beyond:
@@ -169,8 +169,7 @@ class Experiment:
     def go_on_from(self, log, path) -> None:
         """Take the trials of a log, and its notes; refuse those of another experiment."""
         sources = log.source.values.tolist() if "source" in log.coords else []
-        count = log.sizes["trial"]
-        asked = self.reference[:count]
+        asked = self.reference[: len(log.trial)]
         same = {
             "reference": np.array_equal(log.reference[: len(asked)], asked),
             "v of trial 1": np.array_equal(log.v[0], self.rig.rounded("v", self.following([]))),
@@ -182,6 +181,4 @@ class Experiment:
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
             )
-        signals = [name for name in SIGNALS if name in log]
-        self.trials = [{name: log[name].values[k] for name in signals} for k in range(count)]
-        self.log, self.notes = log, log.attrs | self.notes
+        self.trials, self.log, self.notes = parts_of(log), log, log.attrs | self.notes

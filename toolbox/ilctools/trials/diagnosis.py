@@ -27,7 +27,8 @@ from ilctools.evidence.convergence import convergence
 from ilctools.law.law import Law
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
-from ilctools.trials.recorded import applied_v, runs, successions
+from ilctools.trials.learn import applied_v
+from ilctools.trials.recorded import runs, successions
 from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
 from ilctools.units import by_unit
 
@@ -132,13 +133,12 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
 
     By transforms of twice the length, after which the impulse response has decayed.
     """
-    v = applied_v(trials, law)
-    run = runs(v, trials)
-    samples = run.shape[1]
+    v = np.array([applied_v(law, run) for run in runs(trials)])
+    samples = v.shape[1]
     response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
-    V = np.fft.rfft(run, 2 * samples, axis=1)[..., None]
+    V = np.fft.rfft(v, 2 * samples, axis=1)[..., None]
     spectra = np.stack([response @ V, radius[:, None, None] * V])[..., 0]
-    effect, spread = np.fft.irfft(spectra, axis=2)[:, :, :samples].reshape(2, *v.shape)
+    effect, spread = np.fft.irfft(spectra, axis=2)[:, :, :samples].reshape(2, *trials.v.shape)
     of_inputs = ("trial", "time", "input"), spread
     return trials.assign(effect=(AXES, effect), spread=of_inputs)
 

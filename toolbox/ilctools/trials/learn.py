@@ -4,10 +4,22 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ilctools import arguments
 from ilctools.law.law import Law
-from ilctools.law.repetitive import memory, next_samples
+from ilctools.law.repetitive import check_period, memory, next_samples
+from ilctools.loop.closed import Loop
 
 Part = dict[str, np.ndarray]  # signals of a trial, or of a part of one, shape (time, channel)
+
+
+def asked_of(loop: Loop, law: Law, reference, trials: int, v, reset: bool):
+    """The references of all trials (trial, time, m) and v of the first (time, m), checked."""
+    trials = arguments.whole("trials", trials, 1)
+    reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
+    first = law.first(reference.shape[1], v)
+    if not arguments.flag("reset", reset):
+        check_period(law, reference.shape[1])
+    return reference, first
 
 
 def learn(
@@ -40,12 +52,18 @@ def next_v(law: Law, first: np.ndarray, reset: bool, parts: Sequence[Part]) -> n
     elif not law.limits:  # with them what was applied follows from the start on
         parts = _last(parts, memory(law, len(first)))
     signals = joined(parts)
-    r, v, applied = signals["reference"], signals["v"], signals.get("applied")
-    e, u = r - signals["y"], law.loop.asked(r + v, signals.get("u"))
+    e = signals["reference"] - signals["y"]
     if reset:
-        return law.next(v, e, u, applied)
-    v, _ = law.applied(v, u, applied)
-    return next_samples(law, v, e, first)
+        u = law.loop and law.loop.asked(signals)
+        return law.next(signals["v"], e, u, signals.get("applied"))
+    return next_samples(law, applied_v(law, signals), e, first)
+
+
+def applied_v(law: Law, signals: Part) -> np.ndarray:
+    """v (time, m) as far as it was applied."""
+    u = law.loop and law.loop.asked(signals)
+    v, _ = law.applied(signals["v"], u, signals.get("applied"))
+    return v
 
 
 def _last(parts, samples):

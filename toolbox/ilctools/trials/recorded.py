@@ -1,49 +1,39 @@
-"""What trials were: their commands, what was applied of v, and what a model makes of inputs."""
+"""What trials were: their signals in parts, and what a model makes of what was applied."""
 
 import control
 import numpy as np
 import xarray as xr
 
-from ilctools.law.law import Law
 from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET
 from ilctools.loop.closed import Loop
 from ilctools.models import state_sequence
+from ilctools.signals import SIGNALS
+from ilctools.trials.learn import Part, joined
 
 
-def commands(
-    trials: xr.Dataset, loop: Loop, actuators: Actuators | None = None
-) -> dict[str, np.ndarray]:
-    """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
-    recorded = trials.u.values if "u" in trials else None
-    u = applied = loop.asked((trials.reference + trials.v).values, recorded)
-    if "applied" in trials:
-        applied = trials.applied.values
-    elif actuators is not None:
-        applied = actuators.follow(runs(u, trials)).reshape(u.shape)
-    return {"u": u, "applied": applied}
+def parts_of(trials: xr.Dataset) -> list[Part]:
+    """The signals of each trial."""
+    names = [name for name in SIGNALS if name in trials]
+    return [{name: trials[name].values[k] for name in names} for k in range(len(trials.trial))]
 
 
-def runs(signals, trials: xr.Dataset) -> np.ndarray:
-    """Signals (trial, time, m) of trials; without reset, as of one trial."""
-    return np.concatenate(signals)[None] if RESET in trials.attrs else signals
+def runs(trials: xr.Dataset) -> list[Part]:
+    """The signals from one rest to the next: of each trial; without reset, of all as one."""
+    parts = parts_of(trials)
+    return [joined(parts)] if RESET in trials.attrs else parts
 
 
-def outputs_of(model: control.StateSpace, inputs, trials: xr.Dataset) -> np.ndarray:
-    """Outputs of a model from rest, before each trial of inputs (trial, time, m) or the first."""
-    rest, outputs = np.zeros(model.nstates), []
-    for run in runs(inputs, trials):
-        x = state_sequence(model.A, run @ model.B.T, rest)
-        outputs.append(x @ model.C.T + run @ model.D.T)
-    return np.reshape(outputs, (*inputs.shape[:2], -1))
-
-
-def applied_v(trials: xr.Dataset, law: Law) -> np.ndarray:
-    """v (trial, time, m) as far as it was applied."""
-    if not law.limits:
-        return trials.v.values
-    v, _ = law.applied(trials.v.values, **commands(trials, law.loop, law.actuators))
-    return v
+def outputs_of(
+    model: control.StateSpace, loop: Loop, actuators: Actuators | None, run: Part
+) -> np.ndarray:
+    """Outputs (time, m) of a model from rest, by what was applied of commands, and disturbances."""
+    commands = loop.asked(run)
+    if actuators is not None and "applied" not in run:
+        commands = actuators.follow(commands)
+    inputs = np.hstack([run.get("applied", commands), run["disturbance"]])[:, : model.ninputs]
+    x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
+    return x @ model.C.T + inputs @ model.D.T
 
 
 def successions(trials: xr.Dataset) -> np.ndarray:

@@ -10,6 +10,7 @@ and noise n on what the sensors report,
 import warnings
 from functools import partial
 
+import control
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
@@ -18,13 +19,11 @@ from ilctools import arguments
 from ilctools.law.law import Law
 from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.notes import NO_RESET, RESET
-from ilctools.law.repetitive import check_period
-from ilctools.loop.closed import CurrentTrialLoop, Loop, with_noise
+from ilctools.loop.closed import CurrentTrialLoop, Loop, whole
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
-from ilctools.trials.learn import joined, learn, next_v
-from ilctools.trials.recorded import commands
+from ilctools.trials.learn import asked_of, joined, learn, next_v
 from ilctools.trials.start import Start
 
 
@@ -118,15 +117,15 @@ def run_trials(
     True
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
-    reset = arguments.flag("reset", reset)
-    trials = arguments.whole("trials", trials, 1)
     simulated = _Simulated(loop, plant, law.actuators, initial_state)
-    r, d, n = _of_trials(loop, trials, reference, disturbance, noise)
-    first = law.first(r.shape[1], v)
-    if not reset:
-        check_period(law, r.shape[1])
+    r, first = asked_of(loop, law, reference, trials, v, reset)
+    d = arguments.each_trial("disturbance", disturbance, *r.shape[:2], loop.disturbances, loop.Ts)
+    if not simulated.ours and d.any():
+        raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
+    noise = np.zeros(r.shape) if noise is None else noise
+    noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
 
-    references, flows, white = (np.concatenate(signal) for signal in (r, d, n))
+    references, flows, white = map(np.concatenate, (r, d, noise))
     with tqdm(total=len(references), desc="samples", delay=3, disable=None) as bar:
 
         def run(w, now):
@@ -146,33 +145,21 @@ def run_trials(
     return result
 
 
-def _of_trials(loop, trials, reference, disturbance, noise):
-    """Reference, disturbance and noise of all trials, (trial, time, channel), checked."""
-    r = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
-    samples, sources = r.shape[1], loop.disturbances
-    d = np.zeros((samples, len(sources))) if disturbance is None else disturbance
-    d = arguments.each_trial("disturbance", d, trials, samples, sources, loop.Ts)
-    if not isinstance(loop, CurrentTrialLoop) and d.any():
-        raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
-    noise = np.zeros(r.shape) if noise is None else noise
-    return r, d, arguments.in_columns("noise", noise, r.shape, loop.outputs)
-
-
 class _Simulated:
     """The loop (19) around a plant, or P of a loop whose controller is not ours, by samples."""
 
     def __init__(self, loop, plant, actuators, initial_state):
         self.loop, self.actuators, m = loop, actuators, len(loop.outputs)
-        self.ours = isinstance(loop, CurrentTrialLoop)
-        self.model = with_noise(loop, plant) if self.ours else loop.model(plant)
-        n = self.model.nstates
-        self.K, self.N, observed = np.zeros((m, n)), np.eye(m), 0
-        if self.ours:  # u of w and the states, of which the observer's are the last
-            observed, self.N = len(loop.KL), loop.N
-            self.K[:, n - observed :] = np.hstack([-loop.Ks, -np.eye(m)])  # (18)
-        x = np.zeros(n - observed) if initial_state is None else initial_state
-        x = arguments.array("initial_state", x, (n - observed,))
-        self.initial = np.append(x, np.zeros(observed))
+        self.ours, estimated = isinstance(loop, CurrentTrialLoop), 0
+        if self.ours:
+            model, estimated = whole(loop, plant), len(loop.KL)
+        else:  # its commands are w
+            P = loop.model(plant)
+            C, D = np.vstack([P.C, 0 * P.C]), np.vstack([P.D, np.eye(m)])
+            model = control.ss(P.A, P.B, C, D, P.dt)
+        self.model, n = model, model.nstates - estimated
+        x = np.zeros(n) if initial_state is None else initial_state
+        self.initial = np.append(arguments.array("initial_state", x, (n,)), np.zeros(estimated))
         self.reset()
 
     def reset(self):
@@ -181,37 +168,43 @@ class _Simulated:
 
     def run(self, w, d, noise):
         """The signals of a trial, or of a part of one."""
-        model, m = self.model, w.shape[1]
-        inputs = np.hstack([w, d, noise])[:, : model.ninputs]  # P has w alone
-        x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
-        signals = {"u": x @ self.K.T + w @ self.N.T}  # (18)
+        inputs = np.hstack([w, d, noise])[:, : self.model.ninputs]  # P has w alone
+        x, y, u = self.response(inputs)
+        signals = {"u": u}
         if self.actuators is not None:
-            if not self.actuators.can(signals["u"], before=self.applied):
-                inputs[:, :m], signals["u"] = self.within_limits(inputs, m)
-                x = state_sequence(model.A, inputs @ model.B.T, self.state)
+            if not self.actuators.can(u, before=self.applied):
+                inputs, signals["u"] = self.within_limits(inputs)
+                x, y, u = self.response(inputs)
             signals["applied"] = self.actuators.follow(signals["u"], self.applied)
             self.applied = signals["applied"][-1]
-        self.state = model.A @ x[-1] + model.B @ inputs[-1]
-        y = x @ model.C.T + inputs @ model.D.T + noise
-        return signals | {"y": y, "delta": x[:, -m:]} if self.ours else {"y": y}
+        self.state = self.model.A @ x[-1] + self.model.B @ inputs[-1]
+        y = y + noise
+        return signals | {"y": y, "delta": x[:, -w.shape[1] :]} if self.ours else {"y": y}
 
-    def within_limits(self, inputs, m):
-        """The w with which the loop asks for what is applied, and what it asks for with w."""
+    def response(self, inputs):
+        """States, outputs y and commands u."""
+        model = self.model
+        x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
+        return x, *np.split(x @ model.C.T + inputs @ model.D.T, 2, axis=1)  # (18)
+
+    def within_limits(self, inputs):
+        """Inputs whose w asks for what is applied, and what is asked for with the w given."""
+        model, m = self.model, len(self.loop.outputs)
         inputs, u = inputs.copy(), np.empty((len(inputs), m))
         x, applied = self.state, self.applied
         for p, now in enumerate(inputs):
-            u[p] = self.K @ x + self.N @ now[:m]
+            u[p] = model.C[m:] @ x + model.D[m:] @ now
             applied = self.actuators.next(u[p], applied)
             now[:m] = self.loop.realised(now[:m], u[p], applied)
-            x = self.model.A @ x + self.model.B @ now
-        return inputs[:, :m], u
+            x = model.A @ x + model.B @ now
+        return inputs, u
 
 
 def _warnings(result, law, exact, from_rest):
     """What trials show, and what of their reference and their limits."""
     yield from diagnose(result, law, exact=exact).values()
     if law.actuators is not None:
-        u = commands(result, law.loop)["u"]
+        u = law.loop.asked(result).values
         if beyond := commands_beyond(u, law.loop.commands, law.limits):
             yield beyond + CUT_OFF
     if law.L is not None and from_rest:
