@@ -29,6 +29,7 @@ from itertools import product
 
 import numpy as np
 import xarray as xr
+from scipy.interpolate import make_interp_spline
 from scipy.signal import oaconvolve
 
 from ilctools import arguments
@@ -130,41 +131,33 @@ def _signals(trials):
         if not all(name in task and {*task[name].dims} == {*AXES} for name in signals):
             raise ValueError(f"trials lack one of {[*signals]}, or its axes: see run_trials")
         periods[f"trials[{len(tasks)}]"] = Signals(period_of(task))
-        tasks.append(task)
+        tasks.append(task.transpose(*AXES, ...))
     check_match(**periods)
-    outputs = arguments.names_of(tasks[0].y) or tasks[0].channel.values.tolist()
-    shape = "trial", tasks[0].sizes["time"], tasks[0].sizes["channel"]
+    y = tasks[0].y
+    outputs = arguments.names_of(y) or y.channel.values.tolist()
 
     def of_all(name):
-        arrays = (task[name].transpose(*AXES) for task in tasks)
-        return [arguments.in_columns(f"trials.{name}", x, shape, outputs) for x in arrays]
+        shape = "trial", *y.shape[1:]
+        return [arguments.in_columns(f"trials.{name}", x[name], shape, outputs) for x in tasks]
 
     return *(np.concatenate(of_all(name)) for name in signals), outputs
 
 
 def _fitted(v, y, references, reference):
     """F and c of trials, (trial, time, m), and what they make of another reference, (time, m)."""
-    K, samples, m = y.shape
+    _, samples, m = y.shape
     size = np.sqrt(np.mean(y**2, axis=(0, 1)))
     size[size == 0] = 1.0
     basis = _basis(max(1, samples // 2))
-    Phi = np.array([_taps(output / size, basis) for output in y])
-    columns = np.concatenate([Phi, references + v - y], axis=2)  # Phi_k, t_k = v_k + e_k
-    mean = columns.mean(axis=0)
-    fits = _Fits(np.array([sum(map(_products, columns - mean)), K * _products(mean)]), K, m)
-    f, without = fits.likeliest(RATIOS if K > 1 else RATIOS[:1])
+    fits = _Fits([_taps(output / size, basis) for output in y], references + v - y)
+    f, without = fits.likeliest(RATIOS if len(y) > 1 else RATIOS[:1])
     rho, predicted = fits.variances(without)
     by_differences, _ = fits.likeliest([0.0])  # between trials, alone
 
     new = _taps(reference / size, basis)
-    past = np.pad(mean, [(0, len(reference)), (0, 0)])[: len(reference)]
-
-    def first_signal(f, rho):
-        return new @ f + (1 - rho) * (past[:, -m:] - past[:, :-m] @ f)  # F r + c, (3)
-
-    v = first_signal(f, rho)
-    jackknife = (1 - 1 / BLOCKS) * np.sum((first_signal(without, rho) - v) ** 2, axis=0)
-    distance = first_signal(by_differences, 0.0) - v
+    v = fits.first_signal(new, f, rho)
+    jackknife = (1 - 1 / BLOCKS) * np.sum((fits.first_signal(new, without, rho) - v) ** 2, axis=0)
+    distance = fits.first_signal(new, by_differences, 0.0) - v
     uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
     F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
     return Transfer(v, new @ f, v - new @ f, F, predicted, uncertainty)
@@ -174,10 +167,10 @@ def _basis(reach):
     """Taps of F, shape (lags, taps): slopes between lag 0 and others, and lag 0 by itself."""
     knots = [0, 1]
     while knots[-1] < reach:
-        knots.append(min(reach, max(knots[-1] + 1, round(GROWTH * knots[-1]))))
+        knots.append(min(reach, round(GROWTH * knots[-1])))
     knots = np.append(-np.array(knots)[:0:-1], knots)
-    lags, middle = np.arange(-reach, reach + 1), len(knots) // 2
-    hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
+    middle = len(knots) // 2
+    hats = make_interp_spline(knots, np.eye(len(knots)), k=1)(np.arange(-reach, reach + 1))
     hats /= hats.sum(axis=0)
     slopes = (hats - hats[:, [middle]]) / np.maximum(np.abs(knots), 1) ** DECAY
     slopes[:, middle] = hats[:, middle] / reach
@@ -197,13 +190,20 @@ def _products(columns):
     return np.array([block.T @ block for block in np.array_split(columns, BLOCKS)])
 
 
-@dataclass(frozen=True)
 class _Fits:
-    """The sums of (4) over blocks of time: products of p regressors and m targets."""
+    """Fits of m targets t_k by p regressors Phi_k, shapes (trial, time, m) and (trial, time, p)."""
 
-    products: np.ndarray  # of deviations from the mean over the trials, and K times of that mean
-    K: int
-    m: int
+    def __init__(self, Phi, t):
+        self.K, _, self.m = t.shape
+        columns = np.concatenate([Phi, t], axis=2)
+        self.mean = columns.mean(axis=0)
+        within = sum(map(_products, columns - self.mean))
+        self.products = np.array([within, self.K * _products(self.mean)])  # the sums of (4)
+
+    def first_signal(self, new, f, rho):
+        """F r + c, (3), where r has the regressors `new`."""
+        Phi, t = np.split(np.pad(self.mean, [(0, len(new)), (0, 0)])[: len(new)], [-self.m], axis=1)
+        return new @ f + (1 - rho) * (t - Phi @ f)
 
     def likeliest(self, ratios):
         """f by the likeliest weights of each output, shape (p, m), and f without each block."""
