@@ -149,7 +149,7 @@ class CurrentTrialLoop:
         # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
         # the design, the observer sees (G - G_0) u more than it expects: u = U w + R (G - G_0) u.
         # It is computed from that loop, and not from the controller alone, which integrates.
-        replies = frequency_response(whole(self)[m:, :], omega)
+        replies = frequency_response(whole_loop(self)[m:, :], omega)
         U, R = replies[..., :m], replies[..., -m:]
         G_0 = frequency_response(self.plant[:, :m], omega)
         return G @ np.linalg.solve(np.eye(m) - R @ (G - G_0), U)
@@ -303,7 +303,7 @@ def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return A, np.pad(B, [(0, m), (0, 0)]), np.hstack([loop.Ks, np.eye(m)])
 
 
-def whole(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
+def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     """The loop (19), (18) around its plant or another, whose signals are matched by name.
 
     Inputs are w, d and what is added to y before the observer (16) sees it; outputs y and u; the
@@ -358,4 +358,4 @@ def _from_w_and_d(loop, plant=None):
 
 def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
-    return whole(loop, plant)[: len(loop.outputs), :]
+    return whole_loop(loop, plant)[: len(loop.outputs), :]

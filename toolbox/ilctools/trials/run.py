@@ -19,7 +19,7 @@ from ilctools import arguments
 from ilctools.law.law import Law
 from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.notes import NO_RESET, RESET
-from ilctools.loop.closed import CurrentTrialLoop, Loop, whole
+from ilctools.loop.closed import CurrentTrialLoop, Loop, whole_loop
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
@@ -125,17 +125,8 @@ def run_trials(
     noise = np.zeros(r.shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
 
-    references, flows, white = map(np.concatenate, (r, d, noise))
-    with tqdm(total=len(references), desc="samples", delay=3, disable=None) as bar:
-
-        def run(w, now):
-            bar.update(len(w))
-            if reset:
-                simulated.reset()
-            return simulated.run(w, flows[now], white[now])
-
-        parts = learn(run, partial(next_v, law, first, reset), references)  # (22), (23)
-    signals = {name: x.reshape(*r.shape[:2], -1) for name, x in joined(parts).items()}
+    following = partial(next_v, law, first, reset)
+    signals = _learned(simulated, following, reset, r, d, noise)
     names = loop.outputs, loop.controls, loop.disturbances
     result = dataset(loop.Ts, *names, loop.units, **signals, disturbance=d)
     if not reset:
@@ -145,6 +136,21 @@ def run_trials(
     return result
 
 
+def _learned(simulated, following, reset, *inputs):
+    """The signals of trials, by reference, disturbance and noise, (trial, time, channel)."""
+    references, flows, white = map(np.concatenate, inputs)
+    with tqdm(total=len(references), desc="samples", delay=3, disable=None) as bar:
+
+        def run(w, now):
+            bar.update(len(w))
+            if reset:
+                simulated.reset()
+            return simulated.run(w, flows[now], white[now])
+
+        signals = joined(learn(run, following, references))  # (22), (23)
+    return {name: x.reshape(*inputs[0].shape[:2], -1) for name, x in signals.items()}
+
+
 class _Simulated:
     """The loop (19) around a plant, or P of a loop whose controller is not ours, by samples."""
 
@@ -152,7 +158,7 @@ class _Simulated:
         self.loop, self.actuators, m = loop, actuators, len(loop.outputs)
         self.ours, estimated = isinstance(loop, CurrentTrialLoop), 0
         if self.ours:
-            model, estimated = whole(loop, plant), len(loop.KL)
+            model, estimated = whole_loop(loop, plant), len(loop.KL)
         else:  # its commands are w
             P = loop.model(plant)
             C, D = np.vstack([P.C, 0 * P.C]), np.vstack([P.D, np.eye(m)])
