@@ -120,12 +120,12 @@ def read_table(
         Ts = arguments.sampling_period("Ts", Ts)
     is_frame = isinstance(path, pd.DataFrame)
     source = "path" if is_frame else arguments.path("path", path)
-    notes = {} if is_frame else {"origin": f"read from {source.name}"}
     with about(source):
         if is_frame:
-            frame = pd.DataFrame(path, **options)
+            frame, notes = pd.DataFrame(path, **options), {}
         else:
             frame = pd.read_csv(regular(source), **OPTIONS | options)
+            notes = {"origin": f"read from {source.name}"}
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         return trials_of(table, signals, Ts or mean_step(table), notes)
