@@ -18,7 +18,7 @@ from ilctools import (
     save_log,
     zero_phase_butterworth,
 )
-from ilctools.law.notes import with_law
+from ilctools.law.notes import RESET, with_law
 from ilctools.logs.replay import rms_by_trial
 from rodlib.paper import ROOT
 
@@ -66,6 +66,16 @@ def test_with_the_right_model_simulation_and_prediction_are_the_log(name, tmp_pa
     blind = replay(run.drop_vars(["disturbance", "source", "source_unit"]))
     for other in (blind.simulated.y.values, blind.predicted):
         assert np.abs(other - y).max() > 1e6 * atol
+
+
+def test_without_reset_the_model_goes_on_from_trial_to_trial():
+    loop, r = LOOPS["stage"], 1 - bump(150, [1.0])
+    law = Law(law_for(loop).Q, None, loop=loop)
+    run = with_law(run_trials(loop, law, r, trials=3, reset=False), law)
+    replayed = replay(run)
+    np.testing.assert_allclose(replayed.predicted, run.y, rtol=0, atol=1e-9)
+    del run.attrs[RESET]
+    assert np.abs(replay(run).predicted - run.y).max() > 0.1
 
 
 def test_the_fit_measures_how_wrong_a_model_is():
