@@ -152,9 +152,7 @@ def check_times(name: str, times, Ts: float) -> None:
 
 
 def each_trial(name, signal, trials, samples, names, Ts):
-    """A signal of all trials, or of each, with the trial as the first axis; None is zero."""
-    if signal is None:
-        return np.zeros((trials, samples, len(names)))
+    """A signal of all trials, or of each, with the trial as the first axis."""
     times = getattr(signal, "index" if hasattr(signal, "columns") else "time", None)
     if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
         check_times(name, times, Ts)

@@ -13,7 +13,7 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
 from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
 from ilctools.rigs.limits import stop_limits
 from ilctools.rigs.protocol import Rig
-from ilctools.trials.learn import joined
+from ilctools.trials.learn import disturbances_of, joined
 
 STILL = 0.1  # of a trial, for which outputs that are back must stand still
 LONGEST = 2.0  # trials, that is waited for this
@@ -168,7 +168,7 @@ class ControlledRig:
     def commanded(self, disturbance) -> np.ndarray:
         """The commands to the disturbances that are inputs, shape (trial, time, them)."""
         names = self.loop.disturbances
-        d = arguments.each_trial("disturbance", disturbance, *self.size, names, self.loop.Ts)
+        d = disturbances_of(self.loop, disturbance, *self.size)
         nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
         if unknown := [name for name in nonzero if name not in self.recorded]:
             raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")

@@ -22,6 +22,13 @@ def asked_of(loop: Loop, law: Law, reference, trials: int, v, reset: bool):
     return reference, first
 
 
+def disturbances_of(loop: Loop, disturbance, trials: int, samples: int) -> np.ndarray:
+    """The disturbances of all trials (trial, time, d); None stands for zero."""
+    names = loop.disturbances
+    d = np.zeros((samples, len(names))) if disturbance is None else disturbance
+    return arguments.each_trial("disturbance", d, trials, samples, names, loop.Ts)
+
+
 def learn(
     run: Callable, following: Callable, reference: np.ndarray, past: Sequence[Part] = ()
 ) -> list[Part]:

@@ -23,7 +23,7 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop, whole_loop
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
-from ilctools.trials.learn import asked_of, joined, learn, next_v
+from ilctools.trials.learn import asked_of, disturbances_of, joined, learn, next_v
 from ilctools.trials.start import Start
 
 
@@ -119,7 +119,7 @@ def run_trials(
     law = arguments.instance("law", law, Law).bound_to(loop)
     simulated = _Simulated(loop, plant, law.actuators, initial_state)
     r, first = asked_of(loop, law, reference, trials, v, reset)
-    d = arguments.each_trial("disturbance", disturbance, *r.shape[:2], loop.disturbances, loop.Ts)
+    d = disturbances_of(loop, disturbance, *r.shape[:2])
     if not simulated.ours and d.any():
         raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
     noise = np.zeros(r.shape) if noise is None else noise
