@@ -1,7 +1,7 @@
 """How often the truth lies within all radii of a measurement of P, as notebook 10 makes it.
 
-The virtual rig is shaken with other noise again and again. Some five minutes for 100 seeds on two
-cores; notebook 10 has the share of 2000.
+The virtual rig is shaken with other noise again and again. Some four minutes for 100 seeds on two
+cores; notebook 10 has the shares.
 """
 
 import numpy as np

@@ -139,10 +139,11 @@ def measured_response(
         logs = [arguments.instance(f"log[{i}]", one, xr.Dataset) for i, one in enumerate(log)]
         return _warned(estimated_response(logs, **asked))
     arguments.instance("log", log, xr.Dataset)
-    excitation, loop = excitation_of(log), loop_of(log)
-    if excitation is None or any(value is not None for value in asked.values()):
+    other = any(value is not None for value in asked.values())
+    excitation = None if other else excitation_of(log)
+    if excitation is None:
         measured = estimated_response([log], **asked)
-    elif loop is None:
+    elif (loop := loop_of(log)) is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:
         u, limits = log.get("u", log.v).values, limits_of(log)

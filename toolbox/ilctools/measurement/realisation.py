@@ -2,19 +2,15 @@
 
     G(z) = (C (z I - A)^-1 B + D) diag(z^-delay)
 
-A and C are those of the balanced realisation of the impulse response g without its delays: of the
-Hankel matrices H_1, H_2 of g(1), g(2), ... and g(2), g(3), ..., by H_1 = U S V',
-
-    A = S^-1/2 U' H_2 V S^-1/2,    C = the first rows of U S^1/2                                 (1)
-
-(B. L. Ho and R. E. Kalman, Regelungstechnik 14 (1966) 545-548; S. Kung, 12th Asilomar Conference
-(1978) 705-714); a lower order has their first rows and columns. In B and D the response is linear:
-least squares, each frequency by its radius.
+A and C are those of the balanced realisation of the impulse response g without its delays, by the
+singular values of its Hankel matrix (B. L. Ho and R. E. Kalman, Regelungstechnik 14 (1966) 545-548;
+S. Kung, 12th Asilomar Conference (1978) 705-714); a lower order has their first rows and columns.
+In B and D the response is linear: least squares, each frequency by its radius.
 """
 
 import control
 import numpy as np
-from scipy.linalg import block_diag, svd
+from scipy.linalg import block_diag
 
 from ilctools.singular_values import largest_singular_values
 
@@ -44,16 +40,13 @@ def model_within(
 
 
 def _balanced(g):
-    """A and C of (1), of the highest order."""
-    p, m, N = g.shape
-    rows = min(ROWS, (N - 2) // 2)
-    lags = 1 + np.add.outer(np.arange(rows), np.arange(rows))
-    H, later = (g[:, :, lags + k].transpose(2, 0, 3, 1).reshape(rows * p, rows * m) for k in (0, 1))
-    U, S, V = svd(H, full_matrices=False)
-    n = min(MOST, np.count_nonzero(S / S[0] > ROUNDING))
-    root = np.sqrt(S[:n])
-    A = (U[:, :n] / root).T @ later @ (V[:n].T / root)
-    return A, U[:p, :n] * root
+    """A and C of the highest order."""
+    rows = min(ROWS, (g.shape[2] - 2) // 2)
+    most = min(MOST, rows * min(g.shape[:2]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # states that g does not need
+        model, S = control.eigensys_realization(g, most, rows, rows)
+    n = min(most, np.count_nonzero(S / S[0] > ROUNDING))
+    return model.A[:n, :n], model.C[:, :n]
 
 
 def _fitted(A, C, P, angles, radius):
