@@ -22,6 +22,7 @@ Satterthwaite, Biometrics Bulletin 2 (1946) 110-114); f is that of the smoothed 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -51,17 +52,17 @@ class ExcitedResponse(Measured):
     # what speaks against the measurement, and what follows
     findings: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def realisations(self) -> np.ndarray:
         """The response to each realisation of the phases, shape (realisation, n, m, m)."""
         return self.periods.mean(axis=1)  # G_r, (1)
 
-    @property
+    @cached_property
     def response(self) -> np.ndarray:
         """Their mean, shape (n, m, m)."""
         return self.realisations.mean(axis=0)  # P, (1)
 
-    @property
+    @cached_property
     def noise(self) -> np.ndarray:
         """Standard deviation of P by noise alone, shape (n,), in the Frobenius norm."""
         R, N = self.periods.shape[:2]
@@ -71,13 +72,19 @@ class ExcitedResponse(Measured):
     @property
     def error(self) -> np.ndarray:
         """Likewise, by noise and by what is not linear."""
-        return np.sqrt(self._error()[0])
+        return np.sqrt(self._error[0])
 
     @property
     def distortion(self) -> np.ndarray:
         """Likewise, by what is not linear alone."""
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
 
+    @property
+    def not_linear(self) -> float:
+        """Share of the variance of P, over all lines, that noise does not explain."""
+        return max(0.0, float(1 - np.sum(self.noise**2) / np.sum(self.error**2)))
+
+    @cached_property
     def _error(self):
         """Its square, d and f."""
         R, noise = len(self.realisations), self.noise**2
@@ -120,7 +127,7 @@ class ExcitedResponse(Measured):
 
     def _radius(self, confidence, jointly):
         miss = 1 - (confidence ** (1 / len(self.omega)) if jointly else confidence)
-        square, d, f = self._error()
+        square, d, f = self._error
         return np.sqrt(square * fdtri(2 * d, 2 * f, 1 - miss))
 
     def _on(self, omega, confidence):
@@ -171,8 +178,8 @@ class ExcitedResponse(Measured):
             f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
             f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
-            f"standard deviation {np.median(self.error):.2g} in the median, of which noise "
-            f"{np.median(self.noise):.2g} and what is not linear {np.median(self.distortion):.2g}",
+            f"standard deviation {np.median(self.error):.2g} in the median, by noise alone "
+            f"{np.median(self.noise):.2g}: {self.not_linear:.0%} of the variance is not linear",
         ]
         return "\n".join([*lines, *self.findings])
 
