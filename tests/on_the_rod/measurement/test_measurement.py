@@ -178,14 +178,17 @@ def test_the_radius_is_that_of_normal_errors(m, realisations):
         (lambda *shape: gain * np.sqrt(2) * normal(*shape, 1, 1).real * np.eye(m)[[0]].T, 0.5),
     ]
     for errors, entries in kinds:
-        within, found = [], []
+        within, jointly, found = [], [], []
         for _ in range(50):
             size = 1e-3 * omega[:, None, None]
             P = ExcitedResponse(omega, truth + size * errors(realisations, 2, n), loop)
-            within.append(np.linalg.norm(P.response - truth, axis=(1, 2)) <= P.radius(0.9))
+            error = np.linalg.norm(P.response - truth, axis=(1, 2))
+            within.append(error <= P.radius(0.9))
+            jointly.append(np.all(error <= P.radius(0.99, jointly=True)))
             found.append(P._error[1])
         assert np.mean(found) == pytest.approx(entries, rel=0.15)
         assert np.mean(within) == pytest.approx(0.9, abs=0.035)
+        assert np.sum(jointly) >= binom.ppf(0.001, len(jointly), 0.99)
         middle = np.mean(within, axis=0)[5:-5]
         assert middle.min() > 0.75
 
@@ -292,7 +295,7 @@ def test_wrong_records_are_refused(loop, quick):
     earlier = log.assign_attrs(excitation=note)  # by local polynomials, without realisations
     with pytest.raises(LogError, match="phases"):
         measured_response(earlier)
-    assert measured_response(earlier, "w").known.any()
+    assert measured_response(earlier.isel(time=slice(400)), "w").known.any()
     with pytest.raises(ValueError, match="channels = 1"):
         one = multisine(ClosedLoop(Ts=1.0, outputs=["y1"]), 0.02, 0.5, 2.0, 1.0)
         shake(RestartingRig(), loop, one)
