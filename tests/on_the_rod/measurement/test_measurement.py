@@ -132,8 +132,8 @@ def delayed(u):
     ("plant", "outputs", "bent", "realisations", "hours"),
     [
         (lags, ["y1", "y2"], 0.1, 2, 1.4),
-        (resonance, ["y"], 1.0, 6, 2.2),
-        (delayed, ["y"], 0.3, 2, 0.7),
+        (resonance, ["y"], 1.0, 2, 0.72),
+        (delayed, ["y"], 0.3, 6, 2.2),
     ],
 )
 def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations, hours):
@@ -147,13 +147,15 @@ def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations,
 
     plans = [
         multisine(loop, 0.015, 1.0, 0.5, hours, 40, realisations=realisations, seed=seed)
-        for seed in range(16)
+        for seed in range(24)
     ]
     truth = np.mean([measured(plan, 0.0).response for plan in plans], axis=0)
     found = [measured(plan, 0.003) for plan in plans]
     outside = np.array([off(P.response, truth) > P.radius() for P in found])
     # lines of a draw are alike: as if there were five independent ones in each
     assert outside.mean() <= binom.ppf(0.999, 5 * len(plans), 0.05) / (5 * len(plans))
+    most = outside.sum(axis=0).max()  # at the resonance, too, where what is not linear is larger
+    assert most <= binom.ppf(1 - 1e-5, len(plans), 0.05)
     jointly = [np.all(off(P.response, truth) <= P.radius(0.99, jointly=True)) for P in found]
     assert np.sum(jointly) >= binom.ppf(0.001, len(plans), 0.99)
     by_noise, by_both = (np.median([x for P in found for x in v(P)]) for v in (
