@@ -1,11 +1,12 @@
 """Other ways from the rod's equation to a state-space model, beside :func:`rodlib.midr`. Section V.
 
-Three of the four are ordinary differential equations of one form,
+Finite volumes and elements are ordinary differential equations of one form,
 
     kappa_1 M dx/dt = -(lambda K + kappa_2 M) x + F u,
 
-with storage M, conduction K and supply F. They differ in what the states are. The fourth cuts a
-fine model down. All have the inputs and outputs of :func:`rodlib.midr`.
+with storage M, conduction K and supply F. They differ in what the states are. Modes are coupled by
+nothing; what is balanced is a fine model cut down. All have the inputs and outputs of
+:func:`rodlib.midr`.
 
 See Also
 --------
@@ -106,11 +107,8 @@ def modal_series(rod: Rod, modes: int) -> control.StateSpace:
     """
     arguments.instance("rod", rod, Rod)
     n = np.arange(arguments.whole("modes", modes, 1, 10_000))
-    _, means, values = modes_of(rod, n)
-    heat = means * rod.length / rod.sections  # integral of the mode over each section
-    M = np.diag(np.where(n, 0.5, 1) * rod.length)  # integral of the square of the mode
-    waves = n * np.pi / rod.length
-    return _model(rod, M, M * waves**2, heat, values.T)
+    s, B, C = modes_of(rod, n)
+    return named(rod, np.diag(s), B, C)
 
 
 def balanced_truncation(rod: Rod, states: int, inputs: Sequence[str]) -> control.StateSpace:

@@ -72,19 +72,11 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
             f"omega spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
             f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
         )
-    n = np.arange(_mode_count(rod, Ts))
-    losses, means, values = modes(rod, n)
-    decay = losses * Ts / rod.kappa_1  # -s_n Ts
-    # width and height times the integral of the square of the mode
-    norm = np.where(n, 0.5, 1) * rod.width * rod.height * rod.length
-    flows = means / (norm * losses)[:, None]
-    r = np.zeros((len(n), len(rod.sensors), rod.sections + 1))
-    r[:, :, :-1] = values[:, :, None] * flows[:, None]
-    r[0, :, -1] = 1  # the air excites the uniform mode alone
-
+    s, B, C = modes(rod, np.arange(_mode_count(rod, Ts)))
+    r = C.T[:, :, None] * (B / -s[:, None])[:, None]
     # z - p_n, without cancellation where both are close to one
     z_minus_1 = np.expm1(1j * omega * Ts)[:, None]
-    poles_minus_1 = np.expm1(-decay)
+    poles_minus_1 = np.expm1(s * Ts)
     G = np.tensordot(1 / (z_minus_1 - poles_minus_1), -poles_minus_1[:, None, None] * r, axes=1)
     # Small terms first, which loses fewer digits.
     others = exact_response(rod, 0.0)[0].real - r[::-1].sum(axis=0)

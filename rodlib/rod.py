@@ -138,30 +138,17 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     arguments.instance("rod", rod, Rod)
     degree = arguments.whole("degree", degree, 1, 20)
     theta = bernstein_basis(rod, degree)
-    gradient, integral = theta.derivative(), theta.antiderivative()
-    states = rod.sections * degree + 1
     section = rod.length / rod.sections
-    area = rod.width * rod.height
 
-    # What q(z) integrates: the heat flow of each section, the storage of heat, the ambient air.
-    def supplied(z):
-        return np.clip((z[:, None] - rod.edges[:-1]) / section, 0, 1) / area  # integral of (4)
+    def supplied(z):  # integral of the heat flow of each section, (4)
+        return np.clip((z[:, None] - rod.edges[:-1]) / section, 0, 1) / (rod.width * rod.height)
 
-    # Products with the weights have degree 2M at most: Gauss's rule with M + 1 nodes is exact.
-    nodes, gauss = np.polynomial.legendre.leggauss(degree + 1)
-    weights = np.polynomial.legendre.legvander(nodes, degree - 1) * gauss[:, None]
-    middles = rod.edges[:-1] + section / 2
-    z = (middles[:, None] + nodes * section / 2).ravel()
-
-    def project(values):
-        on_sections = values.reshape(rod.sections, degree + 1, -1)
-        return np.einsum("nw,snx->swx", weights, on_sections).reshape(rod.sections * degree, -1)
-
-    end = np.array([rod.length])
-    G = np.vstack([project(integral(z)), integral(end)])
-    F = np.vstack([project(gradient(z)), np.zeros(states)])
-    S = np.vstack([project(supplied(z)), supplied(end)])
-    a = np.vstack([project(z), end[None]])
+    # What q(z) integrates: the storage of heat, the heat flows, the ambient air.
+    G = _weighted(rod, degree, theta.antiderivative())
+    S = _weighted(rod, degree, supplied)
+    a = _weighted(rod, degree, lambda z: z[:, None])
+    F = _weighted(rod, degree, theta.derivative())
+    F[-1] = 0  # q(l) = 0
 
     # (8): kappa_1 G dx/dt = (lambda F - kappa_2 G) x + S u + kappa_2 a theta_a
     A = np.linalg.solve(G, rod.conductivity * F - rod.kappa_2 * G) / rod.kappa_1
@@ -169,16 +156,36 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     return named(rod, A, B, theta(np.array(rod.sensors)))  # (9)
 
 
-def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Modes cos(n pi z / l) of (1)-(4), with -kappa_1 s_n = kappa_2 + lambda (n pi / l)^2.
+def _weighted(rod, degree, function):
+    """Integrals of a function of z times polynomials on each section; below them, its value at l.
 
-    That number for each n, W/(m3 K); the mode's mean over each section; its value at each sensor.
+    The polynomials are Legendre's, of degree M - 1 or less.
     """
-    waves = np.pi / rod.length * n[:, None]
-    losses = rod.kappa_2 + rod.conductivity * waves[:, 0] ** 2
-    middles = (np.arange(rod.sections) + 0.5) * rod.length / rod.sections
-    means = np.cos(waves * middles) * np.sinc(n[:, None] / 2 / rod.sections)
-    return losses, means, np.cos(waves * rod.sensors)
+    # The products have degree 2M at most: Gauss's rule with M + 1 nodes is exact.
+    nodes, gauss = np.polynomial.legendre.leggauss(degree + 1)
+    weights = np.polynomial.legendre.legvander(nodes, degree - 1) * gauss[:, None]
+    half = rod.length / rod.sections / 2
+    z = rod.edges[:-1, None] + half + nodes * half
+    *inside, end = function(np.append(z, rod.length))
+    on_sections = np.reshape(inside, (*z.shape, -1))
+    integrals = np.einsum("nw,snx->swx", weights, on_sections)
+    return np.vstack([*integrals, end])
+
+
+def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Modes cos(n pi z / l) of (1)-(4), into which theta falls apart: s, B, C for each n.
+
+    Their amplitudes T_n obey dT_n/dt = s_n T_n + (B u)_n with u the inputs of :func:`midr` and
+    -kappa_1 s_n = kappa_2 + lambda (n pi / l)^2; the outputs are C T. The air excites the uniform
+    mode alone.
+    """
+    waves, middles = np.pi / rod.length * n, rod.edges[:-1] + rod.length / rod.sections / 2
+    means = np.cos(np.outer(waves, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
+    # width and height times the integral of the square of the mode
+    norm = np.where(n, 0.5, 1) * rod.width * rod.height * rod.length
+    B = np.column_stack([means / norm[:, None], rod.kappa_2 * (n == 0)]) / rod.kappa_1
+    s = -(rod.kappa_2 + rod.conductivity * waves**2) / rod.kappa_1
+    return s, B, np.cos(np.outer(rod.sensors, waves))
 
 
 def named(rod: Rod, A, B, C) -> control.StateSpace:
@@ -191,12 +198,12 @@ def exact_response(rod: Rod, s) -> np.ndarray:
 
     With gamma(s)^2 = (kappa_1 s + kappa_2) / lambda the temperature obeys
     theta'' = gamma^2 theta - (mu + kappa_2 theta_a) / lambda with theta'(0) = theta'(l) = 0.
-    Green's function of that is
+    Where the rod is heated by mu = 1 from 0 to y, lambda gamma^2 theta(z) is
 
-        cosh(gamma x) cosh(gamma (l - y)) / (gamma sinh(gamma l)),    x <= y,
+        cosh(gamma (l - z)) sinh(gamma y) / sinh(gamma l),            y <= z,
+        1 - cosh(gamma z) sinh(gamma (l - y)) / sinh(gamma l),        y > z.
 
-    with x the lower and y the higher of z and the place of the heat. Its integral over a heated
-    section consists of a part below z and a part above z.
+    A section is heated up to its higher edge, less what is heated up to its lower.
 
     Parameters
     ----------
@@ -229,19 +236,16 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     if np.any(np.abs(s - pole) <= -1e-12 * pole):
         raise ValueError(f"s contains {pole:.6g}, where the transfer function has a pole")
     gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)[:, None, None]
-    length = rod.length
-
-    def product(x, y):  # cosh(gamma x) sinh(gamma y) / sinh(gamma l), x + y <= l, no overflow
-        exponentials = (1 + np.exp(-2 * gamma * x)) * np.expm1(-2 * gamma * y)
-        return np.exp(gamma * (x + y - length)) * exponentials / np.expm1(-2 * gamma * length) / 2
-
-    z, start, stop = np.array(rod.sensors)[:, None], rod.edges[:-1], rod.edges[1:]
-    inner = np.clip(z, start, stop)  # where the two parts of a section meet
-    above, below = np.maximum(z, inner), np.minimum(z, inner)  # z, unless a part is empty
-    heat_below = product(length - above, inner) - product(length - above, start)
-    heat_above = product(below, length - inner) - product(below, length - stop)
+    z, y, length = np.array(rod.sensors)[:, None], rod.edges, rod.length
+    below = y <= z
+    from_end, heated = np.where(below, length - z, z), np.where(below, y, length - y)
+    # cosh(gamma from_end) sinh(gamma heated) / sinh(gamma l) without overflow
+    exponentials = (1 + np.exp(-2 * gamma * from_end)) * np.expm1(-2 * gamma * heated)
+    exponentials /= 2 * np.expm1(-2 * gamma * length)
+    shares = np.where(below, 1, -1) * np.exp(gamma * (from_end + heated - length)) * exponentials
+    shares = np.diff(shares) - np.diff(below.astype(float))  # the 1 where z is, and else exactly 0
     density = rod.sections / (rod.width * rod.height * length)  # of a heat flow, (4)
-    flows = density * (heat_below + heat_above) / (rod.conductivity * gamma**2)
+    flows = density * shares / (rod.conductivity * gamma**2)
     air = rod.kappa_2 / (rod.kappa_1 * s + rod.kappa_2)
     return np.concatenate(
         [flows, np.broadcast_to(air[:, None, None], (*flows.shape[:2], 1))], axis=2
