@@ -13,8 +13,8 @@ from itertools import product
 import control
 import numpy as np
 import pandas as pd
-from scipy.linalg import expm
 from scipy.optimize import least_squares
+from scipy.signal import cont2discrete
 from scipy.stats import t
 
 from ilctools import arguments
@@ -158,18 +158,12 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     >>> current_trial_loop(board).outputs
     ['T1', 'T2']
     """
-    A, B = _matrices(gain_1, gain_2, loss, exchange, lag)
-    C = np.eye(2, 4, 2)
-    model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
-    return control.sample_system(model, Ts, method="zoh")
-
-
-def _matrices(gain_1, gain_2, loss, exchange, lag):
-    """A and B of the heat balance in continuous time, whose states are H1, H2, T1, T2."""
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
-    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])
-    return A, np.vstack([np.diag([gain_1, gain_2]), 0 * I])
+    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])  # of H1, H2, T1, T2
+    B = np.vstack([np.diag([gain_1, gain_2]), 0 * I])
+    held = cont2discrete((A, B, np.eye(2, 4, 2), 0 * I), Ts)
+    return control.ss(*held, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,14 +243,11 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
 
     def residual(unknowns):
         log_p, zero = np.split(unknowns, [5])
-        return (readings - readings[0] - zero - _simulated(np.exp(log_p), heaters, Ts)).ravel()
+        board = heat_balance(*np.exp(log_p), Ts)
+        T = state_sequence(board.A, heaters @ board.B.T, np.zeros(4)) @ board.C.T  # from rest
+        return (readings - readings[0] - zero - T).ravel()
 
-    low, high, starts = _search_region(heaters, readings, Ts)
-    # Tolerances so small that the start does not show.
-    options = {"bounds": (low, high), "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
-    fits = [least_squares(residual, start, **options) for start in starts]
-    best = min(fits, key=lambda fit: fit.cost)
-
+    best = _least_squares(residual, heaters, readings, Ts)
     idle = np.append(~heaters.any(axis=0), np.zeros(5, bool))  # of the gains: their slope is zero
     covariance = _jackknife(np.where(idle, 0.0, best.jac), best.fun)
     values, zero = np.exp(best.x), readings[0] + best.x[5:]
@@ -271,15 +262,8 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     return fit
 
 
-def _simulated(parameters, heaters, Ts):
-    """T1, T2 from rest: heat_balance without its model, which takes longer to make than to run."""
-    held = expm(Ts * np.vstack([np.hstack(_matrices(*parameters)), np.zeros((2, 6))]))
-    A, B = held[:4, :4].copy(), held[:4, 4:].copy()
-    return state_sequence(A, heaters @ B.T, np.zeros(4))[:, 2:]
-
-
-def _search_region(heaters, readings, Ts):
-    """Lowest and highest logarithms of the parameters, with the zeros, and four starts between."""
+def _least_squares(residual, heaters, readings, Ts):
+    """The best fit of four starts, which say how quickly heater and thermometer follow."""
     heights, record = np.ptp(readings, axis=0), Ts * len(heaters)
     swing = max(heights.max() / max(np.ptp(heaters), 1e-9), 1e-9)  # K per %
     shortest, longest = Ts / 10, 10 * record
@@ -289,11 +273,13 @@ def _search_region(heaters, readings, Ts):
 
     low = point(swing / longest, 1 / longest, 0.01 / longest, shortest, -1)
     high = point(swing / Ts, 1 / shortest, 1 / shortest, longest, 1)
-    starts = [
-        point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
-        for cooling, lag in product((record / 3, record / 30), repeat=2)
-    ]
-    return low, high, np.clip(starts, low, high)
+    # Tolerances so small that the start does not show.
+    options = {"bounds": (low, high), "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
+    fits = []
+    for cooling, lag in product((record / 3, record / 30), repeat=2):
+        start = point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
+        fits.append(least_squares(residual, np.clip(start, low, high), **options))
+    return min(fits, key=lambda fit: fit.cost)
 
 
 def _jackknife(slopes, residuals):

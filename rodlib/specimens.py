@@ -11,7 +11,7 @@ import control
 import numpy as np
 
 from ilctools import arguments
-from ilctools.loop.closed import CurrentTrialLoop, controller
+from ilctools.loop.closed import CurrentTrialLoop, close
 from rodlib.held import sampled_response
 from rodlib.rod import Rod, midr, named
 
@@ -187,13 +187,9 @@ def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> n
 def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.ndarray:
     """Number of poles outside the unit circle of the loop around a model of each specimen."""
     _check(loop, specimens)
-    A, B, K = controller(loop)
-    counts = []
-    for specimen in specimens:
-        plant = specimen.model(loop.Ts)[:, loop.controls]
-        closed = np.block([[plant.A, -plant.B @ K], [loop.KL @ plant.C, A - B @ K]])  # (19)
-        counts.append(np.sum(np.abs(np.linalg.eigvals(closed)) > 1))
-    return np.array(counts)
+    names = loop.plant.input_labels
+    loops = [close(loop, specimen.model(loop.Ts)[:, names]) for specimen in specimens]
+    return np.array([np.sum(np.abs(closed.poles()) > 1) for closed in loops])
 
 
 def _check(loop, specimens):

@@ -7,7 +7,7 @@ from rods import modal_model
 from scipy.optimize import brentq
 
 from ilctools import current_trial_loop, minimal_realisation
-from ilctools.loop.closed import _close
+from ilctools.loop.closed import controller
 from rodlib import Rod, Specimen, Spread, draw, midr, paper_loop, responses, sampled_response
 from rodlib.specimens import unstable_poles
 
@@ -16,7 +16,10 @@ ALL = Spread.of_all(0.3)
 
 def pole_moduli(loop, model):
     """Moduli of the poles of the loop around a model, stable or not."""
-    return np.abs(_close(loop, model[:, loop.plant.input_labels]).poles())
+    A, B, K = controller(loop)
+    plant = model[:, loop.controls]
+    closed = np.block([[plant.A, -plant.B @ K], [loop.KL @ plant.C, A - B @ K]])  # (19)
+    return np.abs(np.linalg.eigvals(closed))
 
 
 def test_a_rod_is_drawn_by_its_number_alone():

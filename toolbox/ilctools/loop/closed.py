@@ -310,7 +310,7 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     states are those of the plant, x-hat and delta.
     """
     if plant is None:
-        return _close(loop, loop.plant)
+        return close(loop, loop.plant)
     plant = sampled_plant(plant)
     check_match(loop=loop, plant=Signals(plant.dt))
     signals = [*plant.input_labels, *plant.output_labels]
@@ -320,7 +320,7 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     ours, plant = loop.plant.input_labels, plant[loop.outputs, :]
     picked = np.array([[a == b for b in ours] for a in plant.input_labels])
     B, D = plant.B @ picked, plant.D @ picked
-    closed = _close(loop, control.ss(plant.A, B, plant.C, D, plant.dt))
+    closed = close(loop, control.ss(plant.A, B, plant.C, D, plant.dt))
     poles = closed.poles()
     worst = poles[np.abs(poles).argmax()]
     if abs(worst) > arguments.CIRCLE:
@@ -332,7 +332,7 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     return closed
 
 
-def _close(loop, plant):
+def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpace:
     """The whole of a loop, stable or not, around a plant with the same inputs and outputs."""
     m = loop.plant.noutputs
     A, B, K = controller(loop)
