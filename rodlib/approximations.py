@@ -137,8 +137,7 @@ def balanced_truncation(rod: Rod, states: int, inputs: Sequence[str]) -> control
     if not names or {*names} - {*rod.inputs}:
         raise ValueError(f"inputs = {inputs} must list some of {rod.inputs}")
     counted = fine[:, names].B
-    R = _root(solve_continuous_lyapunov(fine.A, -counted @ counted.T))
-    S = _root(solve_continuous_lyapunov(fine.A.T, -fine.C.T @ fine.C))
+    R, S = _gramian_root(fine.A, counted), _gramian_root(fine.A.T, fine.C.T)
     U, hankel, Vh = np.linalg.svd(S.T @ R)
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
@@ -153,7 +152,7 @@ def _model(rod, M, K, heat, C):
     return named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, C)
 
 
-def _root(W):
-    """R with R R' = W, of which negative eigenvalues are rounding."""
-    values, vectors = eigh(W)
+def _gramian_root(A, B):
+    """R with A R R' + R R' A' + B B' = 0; negative eigenvalues of R R' are rounding."""
+    values, vectors = eigh(solve_continuous_lyapunov(A, -B @ B.T))
     return vectors * np.sqrt(np.clip(values, 0, None))

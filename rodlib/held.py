@@ -66,12 +66,7 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     """
     arguments.instance("rod", rod, Rod)
     Ts = arguments.sampling_period("Ts", Ts)
-    omega = arguments.row("omega", omega)
-    if omega.min() < 0 or omega.max() > np.pi / Ts * (1 + 1e-9):
-        raise ValueError(
-            f"omega spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
-            f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
-        )
+    omega = arguments.up_to_nyquist("omega", arguments.row("omega", omega), Ts)
     s, B, C = modes(rod, np.arange(_mode_count(rod, Ts)))
     r = C.T[:, :, None] * (B / -s[:, None])[:, None]
     # z - p_n, without cancellation where both are close to one

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ilctools import arguments
-from rodlib.approximations import modal_series
-from rodlib.rod import Rod
+from rodlib.rod import Rod, modes
 
 # Material parameters off by several percent from those of the design model.
 MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
@@ -43,7 +42,7 @@ class RigParameters:
     ambient_rate: float = 5e-5  # rise of the ambient temperature, K/s
 
     def __post_init__(self):
-        arguments.whole("modes", self.modes, 1)
+        arguments.whole("modes", self.modes, 1, 10_000)
         for name in ("noise", "quantum", "lag"):
             arguments.not_negative(name, getattr(self, name))
         if np.any(self.limit != np.inf):  # which is none
@@ -147,13 +146,12 @@ class VirtualRig(Bench):
     ):
         p = arguments.instance("parameters", parameters, RigParameters)
         super().__init__(rod, parameters, Ts, seed)
-        model = modal_series(rod, p.modes)
-        s, gain, rate = np.diag(model.A), model.B[:, :-1], 1 / p.lag if p.lag else np.inf  # 1/s
+        s, B, self._sensors = modes(rod, np.arange(p.modes))
+        gain, rate = B[:, :-1], 1 / p.lag if p.lag else np.inf  # 1/s
         self._decay, self._lag = np.exp(s * Ts), np.exp(-rate * Ts)
         self._held = (np.expm1(s * Ts) / s)[:, None] * gain
         self._lagging = ((self._lag - self._decay) / (-rate - s))[:, None] * gain
         self._air = -np.expm1(s[0] * Ts)
-        self._sensors = model.C
         self._rest()
 
     def _rest(self):

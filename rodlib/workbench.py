@@ -150,8 +150,8 @@ def _knobs(loop, largest, choices):
     """A widget for each choice, which acts when it is let go; `largest` of the reference."""
     from ipywidgets import Dropdown, FloatLogSlider, FloatSlider, IntSlider
 
-    start = {"M_max": 0.9, "cutoff": 0.1 / loop.Ts, "Q_order": 2, "structure": "diagonal"}
-    start |= {"uncertainty": 0.0, "noise": 0.0} | choices
+    start = {"M_max": 0.9, "cutoff": 0.1 / loop.Ts, "Q_order": 2, "uncertainty": 0.0, "noise": 0.0}
+    start |= {"structure": "diagonal"} | choices
     problem = pose(loop, zero_phase_butterworth(start["Q_order"], start["cutoff"], loop.Ts))
     start = {"L_max": problem.L_max, "order": min(problem.order, LIVELY)} | start
     gain, cutoff = np.log10([start["L_max"], start["cutoff"]])
@@ -206,7 +206,12 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
     (rate, errors), (gain, lags) = figure.subplots(2, 2)
     figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
     figure.text(0.07, 0.96, "dashed: bounds    dotted: mean rate in the band")
-    _draw_singular_values(rate, gain, design)
+    problem, certificate = design.problem, design.certificate
+    _draw_singular_values(rate, design.omega, design.sigma_M, problem.M_max)
+    rate.plot(problem.objective.band, [certificate.mean_M] * 2, color="black", linestyle=":")
+    rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
+    _draw_singular_values(gain, design.omega, design.sigma_L, problem.L_max)
+    gain.set(title=r"gain $\bar\sigma(L)$ of the learning filter", ylim=(0, None))
     _draw_errors(errors, trials)
     _draw_coefficients(lags, design.filter.coefficients)
     for axes in figure.axes:
@@ -214,17 +219,10 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
     return figure
 
 
-def _draw_singular_values(rate, gain, design):
-    problem, omega = design.problem, design.omega
-    rate.plot(omega, design.sigma_M, color="black")
-    rate.plot(problem.objective.band, [design.certificate.mean_M] * 2, color="black", linestyle=":")
-    rate.axhline(problem.M_max, **BOUND)
-    rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
-    gain.plot(omega, design.sigma_L, color="black")
-    gain.axhline(problem.L_max, **BOUND)
-    gain.set(title=r"gain $\bar\sigma(L)$ of the learning filter", ylim=(0, None))
-    for axes in (rate, gain):
-        axes.set(xscale="log", xlabel="frequency (rad/s)", xlim=omega[[0, -1]])
+def _draw_singular_values(axes, omega, sigma, bound):
+    axes.plot(omega, sigma, color="black")
+    axes.axhline(bound, **BOUND)
+    axes.set(xscale="log", xlabel="frequency (rad/s)", xlim=omega[[0, -1]])
 
 
 def _draw_errors(axes, trials):

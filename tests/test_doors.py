@@ -116,7 +116,7 @@ DOORS = [
     (rodlib.Specimen,),
     (rodlib.draw,),
     (rodlib.responses, {"specimens": [[], [Rod()]], "loop": [LOOP]}, {"loop": PAPER}),
-    (rodlib.RigParameters,),
+    (rodlib.RigParameters, {"modes": [10_001]}),
     (rodlib.VirtualRig, {}, {"parameters": rodlib.RigParameters()}),
     (rodlib.RestartingRig, {}, {"parameters": rodlib.RigParameters()}),
     (RIG.apply,),

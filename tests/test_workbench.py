@@ -53,7 +53,7 @@ def test_the_picture_shows_the_design_and_its_trials():
     design, trials = try_out(TANKS, reference, cutoff=0.1 / TANKS.Ts, order=6, structure="full")
     figure, problem, L = plot(design, trials), design.problem, design.filter
     rate, error, gain, lags = (axes.lines for axes in figure.axes)
-    expected = [design.sigma_M, 2 * [design.certificate.mean_M], 2 * [problem.M_max]]
+    expected = [design.sigma_M, 2 * [problem.M_max], 2 * [design.certificate.mean_M]]
     expected += [rms(trials), design.sigma_L, 2 * [problem.L_max]]
     for line, values in zip([*rate, *error, *gain], expected, strict=True):
         np.testing.assert_array_equal(line.get_ydata(), values)

@@ -144,12 +144,8 @@ class Ledger:
             return
         claim = published.claims()[key]
         unit = f" ({claim.unit})" if claim.unit else ""
-        row = (
-            dict.fromkeys(COLUMNS, "")
-            | vars(claim)
-            | {"claim": claim.claim + unit}
-            | judged(claim, computed)
-        )
+        said = {"claim": claim.claim + unit} | judged(claim, computed)
+        row = dict.fromkeys(COLUMNS, "") | vars(claim) | said
         if not self.papers_parameters and row["verdict"] != UNCHECKED:
             row["verdict"] = OTHER
         self.rows[key] = row
@@ -161,9 +157,8 @@ class Ledger:
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
-        notebook = read_json((ROOT / "notebooks" / f"{self.notebook}.ipynb").read_text("utf-8"))
-        *_, cell = (cell["id"] for cell in notebook["cells"] if cell["cell_type"] == "code")
-        rows = self.frame().assign(notebook=self.notebook, cell=cell)  # the last records them
+        *_, last = code_cells(ROOT / "notebooks" / f"{self.notebook}.ipynb")  # it records them
+        rows = self.frame().assign(notebook=self.notebook, cell=last["id"])
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
     def frame(self) -> pd.DataFrame:
@@ -172,10 +167,15 @@ class Ledger:
         return pd.DataFrame(rows, columns=COLUMNS)
 
 
+def code_cells(notebook: Path) -> list[dict]:
+    """The cells of a notebook that have code."""
+    cells = read_json(notebook.read_text("utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
 def differing_first(rows: pd.DataFrame) -> pd.DataFrame:
     """The rows in their order, but those that differ before all others."""
-    differs = rows.verdict == DIFFERS
-    return pd.concat([rows[differs], rows[~differs]])
+    return rows.sort_values("verdict", key=lambda verdicts: verdicts != DIFFERS, kind="stable")
 
 
 def join(parts: Path) -> pd.DataFrame:
@@ -194,16 +194,14 @@ def read(path):
 
 def summary(rows: pd.DataFrame) -> str:
     """What the README says: of what could have differed, how many agree, and which do not."""
-    lines = []
+    counts, lines = counted(rows), []
     for name in COUNTED:
-        of_kind = rows[kinds(rows) == name]
-        differ = of_kind.key[of_kind.verdict == DIFFERS]
-        agree = (of_kind.verdict == REPRODUCED).sum()
-        names = ", ".join(f"`{key}`" for key in differ if name != "coefficient")
+        agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]
+        keys = rows.key[(kinds(rows) == name) & (rows.verdict == DIFFERS)]
+        names = ", ".join(f"`{key}`" for key in keys if name != "coefficient")
         which = f", not {names}" if names else ""
-        lines.append(f"- {KINDS[name]}: {agree} of {agree + len(differ)} agree{which}\n")
-    vague = (rows.verdict[kinds(rows) != "misprint"] == IN_WORDS).sum()
-    unchecked = (rows.verdict == UNCHECKED).sum()
+        lines.append(f"- {KINDS[name]}: {agree} of {agree + differ} agree{which}\n")
+    vague, unchecked = counts[IN_WORDS].drop("misprint").sum(), counts[UNCHECKED].sum()
     last = f"- too vague, or hanging on choices of ours: {vague}; cannot be checked: {unchecked}\n"
     return "".join([*lines, last])
 
@@ -213,18 +211,17 @@ def kinds(rows: pd.DataFrame) -> pd.Series:
     return rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
 
 
-def counted(rows: pd.DataFrame) -> str:
-    """How many claims of each kind got which verdict, as Markdown."""
-    counts = pd.crosstab(kinds(rows).map(KINDS), rows.verdict)
-    counts = counts.reindex(index=KINDS.values(), columns=VERDICTS, fill_value=0)
-    return counts.rename_axis("", axis=0).to_markdown() + "\n"
+def counted(rows: pd.DataFrame) -> pd.DataFrame:
+    """How many claims of each kind got which verdict."""
+    counts = pd.crosstab(kinds(rows), rows.verdict)
+    return counts.reindex(index=KINDS, columns=VERDICTS, fill_value=0)
 
 
 def figures() -> str:
     """A line of Markdown for each figure, with the cell that saves it."""
     lines = []
     for path in (ROOT / "notebooks").glob("*.ipynb"):
-        for cell in read_json(path.read_text("utf-8"))["cells"]:
+        for cell in code_cells(path):
             place = f"[{path.stem}](../notebooks/{path.name}#cell-id={cell['id']})"
             names = re.findall(SAVED, "".join(cell["source"]))
             lines += [f"- [{name}]({name}.png): {place}" for name in names]
@@ -237,6 +234,7 @@ def markdown(rows: pd.DataFrame) -> str:
     cells = "[" + rows.notebook + "](../notebooks/" + rows.notebook + ".ipynb#cell-id=" + rows.cell
     table = differing_first(rows.assign(claim=rows.claim + notes, cell=cells + ")"))[PAGE]
     table = table.replace({r"\|": r"\|"}, regex=True)
+    counts = counted(rows).rename(index=KINDS).rename_axis("")
     return f"""# Printed against computed
 
 Written by `make reproduce`. *Reproduced*: a number within its tolerance, half a unit of the last
@@ -248,7 +246,8 @@ products of printed gains that do not depend on the coordinates of the state, te
 What is *taken over* from the paper, or an *identity* (imposed, algebra, or another row once more),
 could hardly differ.
 
-{counted(rows)}
+{counts.to_markdown()}
+
 ## Deviations from the paper
 
 {DEVIATIONS.read_text(encoding="utf-8")}

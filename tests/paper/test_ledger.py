@@ -64,10 +64,9 @@ def test_tracked_rows_follow_from_what_they_show():
 def counted(book):
     """The numbers in the counts of a ledger's rows, by kind, and its page."""
     rows = book.frame().assign(notebook="01-model", cell="a")
-    lines = [line.strip("| ").split(" | ") for line in ledger.counted(rows).splitlines()[2:]]
-    titles = {title: kind for kind, title in ledger.KINDS.items()}
-    counts = {titles[title.strip()]: [*map(int, numbers)] for title, *numbers in lines}
-    return counts, ledger.markdown(rows)
+    counts = ledger.counted(rows)
+    assert [*counts] == [REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED]
+    return counts.T.to_dict("list"), ledger.markdown(rows)
 
 
 def test_what_could_have_differed_is_counted_by_kind():

@@ -263,10 +263,15 @@ def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
     omega = array(name, value, ("frequency",))
     if len(omega) < 2 or not np.all(np.diff(omega) > 0):
         raise ValueError(f"{name}, of shape {omega.shape}, must be a row of increasing frequencies")
-    nyquist = np.pi / Ts
-    if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
+    return up_to_nyquist(name, omega, Ts)
+
+
+def up_to_nyquist(name: str, omega: np.ndarray, Ts: float) -> np.ndarray:
+    """Angular frequencies, rad/s, none of them below zero or above the Nyquist frequency."""
+    lowest, highest, nyquist = omega.min(), omega.max(), np.pi / Ts
+    if lowest < 0 or highest > nyquist * (1 + 1e-9):
         raise ValueError(
-            f"{name} spans [{omega[0]:.6g}, {omega[-1]:.6g}] rad/s, but must lie in "
+            f"{name} spans [{lowest:.6g}, {highest:.6g}] rad/s, but must lie in "
             f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
             "either is in another unit"
         )
