@@ -150,8 +150,14 @@ def _knobs(loop, largest, choices):
     """A widget for each choice, which acts when it is let go; `largest` of the reference."""
     from ipywidgets import Dropdown, FloatLogSlider, FloatSlider, IntSlider
 
-    start = {"M_max": 0.9, "cutoff": 0.1 / loop.Ts, "Q_order": 2, "uncertainty": 0.0, "noise": 0.0}
-    start |= {"structure": "diagonal"} | choices
+    start = {
+        "M_max": 0.9,
+        "cutoff": 0.1 / loop.Ts,
+        "Q_order": 2,
+        "structure": "diagonal",
+        "uncertainty": 0.0,
+        "noise": 0.0,
+    } | choices
     problem = pose(loop, zero_phase_butterworth(start["Q_order"], start["cutoff"], loop.Ts))
     start = {"L_max": problem.L_max, "order": min(problem.order, LIVELY)} | start
     gain, cutoff = np.log10([start["L_max"], start["cutoff"]])

@@ -268,11 +268,10 @@ def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
 
 def up_to_nyquist(name: str, omega: np.ndarray, Ts: float) -> np.ndarray:
     """Angular frequencies, rad/s, none of them below zero or above the Nyquist frequency."""
-    lowest, highest, nyquist = omega.min(), omega.max(), np.pi / Ts
-    if lowest < 0 or highest > nyquist * (1 + 1e-9):
+    if omega.min() < 0 or omega.max() > np.pi / Ts * (1 + 1e-9):
         raise ValueError(
-            f"{name} spans [{lowest:.6g}, {highest:.6g}] rad/s, but must lie in "
-            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
+            f"{name} spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
+            f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
             "either is in another unit"
         )
     return omega
