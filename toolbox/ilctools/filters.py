@@ -360,8 +360,8 @@ def time_shifts(angles, order) -> np.ndarray:
     """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
     # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
     # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
-    angles = np.asarray(angles, dtype=np.longdouble)
-    return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
+    z = np.exp(1j * np.asarray(angles, dtype=np.longdouble))
+    return np.cumprod(np.repeat(z[:, None], order, axis=1), axis=1)
 
 
 def transform(coefficients, angles) -> np.ndarray:

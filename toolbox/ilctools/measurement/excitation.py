@@ -157,9 +157,9 @@ def multisine(
     --------
     >>> from ilctools import ClosedLoop, multisine
     >>> loop = ClosedLoop(Ts=1.0, outputs=["y1", "y2"])
-    >>> shaking = multisine(loop, lowest=0.003, highest=0.3, amplitude=2.0, hours=6.0)
-    >>> shaking.signals.shape[0], shaking.hours <= 6
-    (2, True)
+    >>> shaking = multisine(loop, lowest=0.003, highest=0.3, amplitude=2.0, hours=8.0)
+    >>> shaking.signals.shape[0], shaking.hours <= 8  # two realisations of two experiments
+    (4, True)
     """
     Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts
