@@ -100,7 +100,6 @@ class _Layout:
     moved: tuple[np.ndarray, ...]  # of each B
     start: np.ndarray  # (time, k)
     starts: int  # records with an unknown start
-    drifts: int  # and with a drift
     skipped: int  # samples at the beginning of each
 
     def prior(self, eta) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +159,6 @@ def _layout(groups, direct, delays, share):
         moved=tuple(moves + delay for delay in delays),
         start=increments(start),
         starts=starts,
-        drifts=len(groups),
         skipped=0 if starts else reach,
     )
 
@@ -185,7 +183,7 @@ def records(groups, layout) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray
             if layout.starts:
                 known = layout.start[:N]
                 starts[: len(known), number] = known
-            drifts = np.zeros((N, layout.drifts, KNOTS))
+            drifts = np.zeros((N, len(groups), KNOTS))
             if k == 0:
                 drifts[:, g] = ramps
             X = [-_lagged(y, layout.knots), *map(_lagged, u.T, layout.moved)]  # (1)
