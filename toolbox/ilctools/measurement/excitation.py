@@ -92,18 +92,22 @@ class Excitation:
     @cached_property
     def signals(self) -> np.ndarray:
         """The signal w of each experiment, shape (experiment, time, input)."""
+        return np.tile(self._period, (1, self.periods + 1, 1))
+
+    @cached_property
+    def _period(self):
+        """One period of it."""
         envelopes = _envelopes(np.array(self.phases), self.harmonics, self.period)
         experiment = np.arange(self.channels)
         turns = np.exp(2j * np.pi * np.outer(experiment, experiment) / self.channels)
         waves = np.real(np.einsum("ei,rit->reti", turns, envelopes))
         waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
-        waves = waves.reshape(self.experiments, self.period, self.channels)
-        return np.tile(waves, (1, self.periods + 1, 1))
+        return waves.reshape(self.experiments, self.period, self.channels)
 
     @property
     def crest(self) -> float:
         """Crest factor: the largest peak over the RMS; a single sine has 1.41."""
-        waves = self.signals[:, -self.period :] / self.amplitude
+        waves = self._period / self.amplitude
         return float(1 / np.sqrt(np.mean(waves**2)))
 
     def __repr__(self):
