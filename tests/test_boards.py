@@ -135,7 +135,7 @@ def test_the_steps_of_the_converter_are_within_the_radius():
     measured, truth = measure()
     off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
     assert np.all(off < measured.radius(0.99, jointly=True))
-    assert measured.not_linear > 0.4 and "of the variance is not linear" in repr(measured)
+    assert measured.beyond_noise > 0.4 and "of the variance is not linear" in repr(measured)
 
 
 class Clock:

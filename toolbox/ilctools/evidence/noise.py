@@ -28,7 +28,7 @@ import numpy as np
 from ilctools import arguments
 from ilctools.evidence.convergence import convergence
 from ilctools.law.law import Law
-from ilctools.loop.closed import CurrentTrialLoop, with_noise
+from ilctools.loop.closed import CurrentTrialLoop, whole_loop
 from ilctools.models import frequency_response
 from ilctools.problem.problem import convergence_matrix
 from ilctools.signals import check_match
@@ -116,7 +116,7 @@ def trial_noise(
     omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
     m = len(loop.outputs)
     sensors = _density("sensor_psd", sensor_psd, len(omega), m)
-    response = frequency_response(with_noise(loop, plant), omega)
+    response = frequency_response(whole_loop(loop, plant)[:m, :], omega)
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
     if disturbance_psd is not None:

@@ -349,13 +349,9 @@ def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpa
 
 def _from_w_and_d(loop, plant=None):
     """The loop (19) without noise, its signals by name."""
-    closed = with_noise(loop, plant)[:, : -len(loop.outputs)]
+    m = len(loop.outputs)
+    closed = whole_loop(loop, plant)[:m, :-m]
     closed.update_names(
         inputs=loop.references + loop.disturbances, outputs=loop.outputs, name="current-trial loop"
     )
     return closed
-
-
-def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
-    """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
-    return whole_loop(loop, plant)[: len(loop.outputs), :]

@@ -65,11 +65,6 @@ class Excitation:
         return len(self.amplitude)
 
     @property
-    def experiments(self) -> int:
-        """Of all realisations."""
-        return self.channels * len(self.phases)
-
-    @property
     def omega(self) -> np.ndarray:
         """The frequencies that are excited, rad/s."""
         return 2 * np.pi * np.array(self.harmonics) / (self.period * self.Ts)
@@ -87,7 +82,7 @@ class Excitation:
     @property
     def hours(self) -> float:
         """What all experiments take together."""
-        return self.experiments * self.samples * self.Ts / 3600
+        return self.channels * len(self.phases) * self.samples * self.Ts / 3600
 
     @cached_property
     def signals(self) -> np.ndarray:
@@ -102,7 +97,7 @@ class Excitation:
         turns = np.exp(2j * np.pi * np.outer(experiment, experiment) / self.channels)
         waves = np.real(np.einsum("ei,rit->reti", turns, envelopes))
         waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
-        return waves.reshape(self.experiments, self.period, self.channels)
+        return waves.reshape(-1, self.period, self.channels)
 
     @property
     def crest(self) -> float:
@@ -186,16 +181,16 @@ def multisine(
     return Excitation(Ts, period, periods, harmonics, phases, amplitude.tolist())
 
 
-def _divided(hours, one, realisations, lowest):
-    """Realisations, and periods of each that are evaluated; `one`: hours of a period of all m."""
+def _divided(hours, cycle, realisations, lowest):
+    """Realisations, and periods of each that are evaluated; `cycle`: hours of a period of all m."""
     hours = arguments.positive("hours", hours, "a positive number of hours")
-    available = int(hours / one)
+    available = int(hours / cycle)
     if realisations is None:
         realisations = np.clip(available // 3, FEWEST, MOST)
     realisations = arguments.whole("realisations", realisations, FEWEST)
     periods = available // realisations - 1
     if periods < 2:
-        needed = 3 * realisations * one
+        needed = 3 * realisations * cycle
         raise ValueError(
             f"hours = {hours:g} is too short for 3 periods of the lowest frequency in "
             f"{realisations} realisations of one experiment for each input: {needed:.4g} h are "

@@ -26,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.special import fdtri, polygamma, psi
+from scipy.special import chdtrc, fdtrc, fdtri, polygamma, psi
 
 from ilctools.law.limits import commands_beyond
 from ilctools.loop.closed import CurrentTrialLoop, Loop
@@ -39,7 +39,7 @@ NEAR = 8
 DRIFT = 3.0  # standard deviations without drift, from which one is reported
 SIGNIFICANCE = 1e-3  # probability of a false report
 TOLERANCE = 1.2  # of a radius: half of the lines must predict more than all of them
-ROUNDING = 1e-14  # of P: what is less is no error but that of numbers
+ROUNDING = 1e-12  # of P: what is less is no error but that of numbers
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +67,7 @@ class ExcitedResponse(Measured):
         """Standard deviation of P by noise alone, shape (n,), in the Frobenius norm."""
         R, N = self.periods.shape[:2]
         off = self.periods - self.realisations[:, None]
-        return np.sqrt(self._smoothed(off, R * (N - 1))[0] / (R * N))  # (2)
+        return np.sqrt(self._smoothed(off, self._variances[0], R * (N - 1))[0])
 
     @property
     def error(self) -> np.ndarray:
@@ -80,37 +80,45 @@ class ExcitedResponse(Measured):
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
 
     @property
-    def not_linear(self) -> float:
-        """Share of the variance of P, over all lines, that noise does not explain."""
-        return max(0.0, float(1 - np.sum(self.noise**2) / np.sum(self.error**2)))
+    def beyond_noise(self) -> float:
+        """Share of the variance of P, over all lines, that is no noise; 0 where it may be chance.
+
+        It is what is not linear, or a transient longer than the first period. Of a linear loop that
+        has settled, (3) over (2) has an F distribution at each line; Fisher's method combines them.
+        """
+        (R, N, n), (noise, both), d = self.periods.shape[:3], self._variances, self._error[1]
+        p = fdtrc(2 * d * (R - 1), 2 * d * R * (N - 1), both / noise)
+        chance = chdtrc(2 * n, -2 * np.log(np.maximum(p, 1e-300)).sum())
+        return float(1 - noise.sum() / both.sum()) if chance < SIGNIFICANCE else 0.0
+
+    @cached_property
+    def _variances(self):
+        """(2) and (3) at each line, (2, n), at least those of numbers."""
+        R, N = self.periods.shape[:2]
+        noise = _squares(self.periods - self.realisations[:, None]) / (R**2 * N * (N - 1))  # (2)
+        both = _squares(self.realisations - self.response) / (R * (R - 1))  # (3)
+        return np.maximum([noise, both], ROUNDING**2 * _squares(self.response) + 1e-300)
 
     @cached_property
     def _error(self):
         """Its square, d and f."""
-        R, noise = len(self.realisations), self.noise**2
+        noise, both = self.noise**2, self._variances[1]
+        size = _squares(self.response)
+        shape = noise + max(np.sum(both - noise), 0) / size.sum() * size
         off = self.realisations - self.response
-        size = np.linalg.norm(self.response, axis=(1, 2)) ** 2
-        distortion = np.sum(np.abs(off) ** 2) / (R * (R - 1)) - noise.sum()
-        shape = noise + max(distortion, 0) / size.sum() * size
-        square, d, f = self._smoothed(off, R - 1, shape)
-        return square / R, d, f  # (3)
+        return self._smoothed(off, both, len(off) - 1, shape)
 
-    def _smoothed(self, off, freedom, shape=1.0):
-        """Variance at each line (n,) of matrices (..., n, m, m) about means, d, and f (n,).
+    def _smoothed(self, off, variance, freedom, shape=1.0):
+        """A variance (n,) of errors (..., n, m, m) with the `freedom` of each line, d, and f (n,).
 
         Smoothed is its ratio to a `shape`.
         """
-        least = (ROUNDING * np.linalg.norm(self.response, axis=(1, 2))) ** 2 + 1e-300
-        off = off.reshape(-1, *self.response.shape)
-        power = np.sum(np.abs(off) ** 2, axis=(0, 2, 3)) / freedom
-        shape = np.maximum(shape, least)
         weights = self._straight()
-        mean = np.exp(weights @ np.log(np.maximum(power, least) / shape)) * shape
-        near = (weights != 0) * 1.0
+        mean = np.exp(weights @ np.log(variance / shape)) * shape
         left, _, right = np.linalg.svd(self.response)
         turned = (left @ right).conj().swapaxes(1, 2) @ off  # errors turn from line to line as P
-        d = _directions(turned / np.sqrt(mean)[:, None, None], near, freedom)
-        a = freedom * d  # of the gamma distribution of the power
+        d = _directions(turned / np.sqrt(mean)[:, None, None], (weights != 0) * 1.0, freedom)
+        a = freedom * d  # of the gamma distribution of the variance
         f = 1 / (polygamma(1, a) * np.sum(weights**2, axis=1)) + 0.5
         return mean * a / np.exp(psi(a)), d, f
 
@@ -137,12 +145,11 @@ class ExcitedResponse(Measured):
         differs from straight lines. Above the highest frequency the response is the one there, and
         the radius contains all that is not larger.
         """
-        radius, knots, P = (self.radius(confidence, jointly=True), self.omega, self.response)
-        both, P_both = (np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0))
-        if self.anchored:
-            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
-            both = np.insert(both, len(P), 0.0)
-            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
+        rest, P = [0.0] * self.anchored, self.response
+        radius = np.append(rest, self.radius(confidence, jointly=True))
+        knots, at_rest = np.append(rest, self.omega), np.eye(P.shape[1])[None, :][: len(rest)]
+        both = np.append(-self.omega[::-1], knots)
+        P_both = np.concatenate([P[::-1].conj(), at_rest, P])
         spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
         beyond = omega > knots[-1] * (1 + 1e-9)
         anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
@@ -179,14 +186,21 @@ class ExcitedResponse(Measured):
             f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
             f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
             f"standard deviation {np.median(self.error):.2g} in the median, by noise alone "
-            f"{np.median(self.noise):.2g}: {self.not_linear:.0%} of the variance is not linear",
+            f"{np.median(self.noise):.2g}",
         ]
+        if share := self.beyond_noise:
+            lines.append(f"{share:.0%} of the variance is not linear, or had not settled")
         return "\n".join([*lines, *self.findings])
+
+
+def _squares(off):
+    """Sum of the squares of errors (..., n, m, m) at each line, (n,)."""
+    return np.sum(np.abs(off.reshape(-1, *off.shape[-3:])) ** 2, axis=(0, 2, 3))
 
 
 def _directions(off, near, freedom):
     """Independent entries, 1/2 (a real one) to all, of errors (..., n, m, m) of about one size."""
-    parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off[0, 0].size)
+    parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off.shape[-1] ** 2)
     C = np.tensordot(near, np.einsum("rki,rkj->kij", parts, parts), 1)
     square, squares = np.trace(C, axis1=1, axis2=2) ** 2, np.linalg.norm(C, axis=(1, 2)) ** 2
     nu = freedom * near.sum(axis=1)  # which, being few, alone make both larger
@@ -201,12 +215,14 @@ def excited_response(w, y, u, limits, excitation: Excitation, loop: Loop) -> Exc
     periods = Y @ np.linalg.inv(W)  # (1)
     measured = ExcitedResponse(excitation.omega, periods, loop)
     findings = (
-        _beyond_limits(u, loop.controls, limits),
+        (beyond := commands_beyond(u, loop.controls, limits))
+        and f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
+        "Shake with a smaller amplitude",
         _drift(y, W, excitation, measured),
         _far_from_identity(measured),
         _sparse(measured),
     )
-    return replace(measured, findings=tuple(text for text in findings if text))
+    return replace(measured, findings=tuple(filter(None, findings)))
 
 
 def _spectra(signal, excitation):
@@ -215,15 +231,6 @@ def _spectra(signal, excitation):
     parts = signal.reshape(-1, m, excitation.periods, excitation.period, m)
     lines = np.fft.rfft(parts, axis=3)[:, :, :, list(excitation.harmonics)]
     return np.moveaxis(lines, 1, -1)
-
-
-def _beyond_limits(u, controls, limits):
-    """Commands that the actuators did not follow."""
-    beyond = commands_beyond(u, controls, limits)
-    return beyond and (
-        f"{beyond}: what was measured is not the loop, and the radius does not contain that. Shake "
-        "with a smaller amplitude"
-    )
 
 
 def _drift(y, W, excitation, measured):
@@ -235,26 +242,23 @@ def _drift(y, W, excitation, measured):
     ramp = slope[:, None] * np.arange(y.shape[1])[:, None] / period
     by_ramp = _spectra(ramp, excitation) @ np.linalg.inv(W)
     error = np.linalg.norm(by_ramp.mean(axis=(0, 1)), axis=(1, 2))
-    noise = replace(measured, periods=measured.periods - by_ramp).noise
-    worst = np.argmax(error / np.maximum(noise, 1e-300))
-    if error[worst] <= DRIFT * noise[worst]:
+    worst = np.argmax(error / measured.noise)  # which a ramp, alike in all periods, does not move
+    if error[worst] <= DRIFT * measured.noise[worst]:
         return None
-    output = np.abs(slope).max(axis=0).argmax()
-    hourly = np.abs(slope[:, output]).max() / (period * excitation.Ts) * 3600
+    largest = np.abs(slope).max(axis=0)
+    hourly = largest.max() / (period * excitation.Ts) * 3600
     return (
-        f"{measured.loop.outputs[output]} drifts by {hourly:.3g} an hour: P is off by about "
-        f"{error[worst]:.2g} at {measured.omega[worst]:.3g} rad/s, and the radius is larger for "
-        "it. Wait until the rig is warm or has settled, or shake at higher frequencies"
+        f"{measured.loop.outputs[largest.argmax()]} drifts by {hourly:.3g} an hour: P is off by "
+        f"about {error[worst]:.2g} at {measured.omega[worst]:.3g} rad/s, and the radius is larger "
+        "for it. Wait until the rig is warm or has settled, or shake at higher frequencies"
     )
 
 
 def _far_from_identity(measured):
     """Whether P, where it is I at zero, is far from it at the lowest frequency."""
-    if not measured.anchored:
-        return None
     P = measured.response[0]
     distance = np.linalg.norm(P - np.eye(len(P)), 2)
-    if distance <= 1:
+    if distance <= 1 or not measured.anchored:
         return None
     return (
         f"P differs from I by {distance:.2g} at the lowest frequency, {measured.omega[0]:.3g} "
@@ -265,12 +269,10 @@ def _far_from_identity(measured):
 def _sparse(measured):
     """Whether every other line predicts those between, within the radius that it claims."""
     n = len(measured.omega)
-    number = np.arange(n)
-    ends = (number == 0) | (number == n - 1)
     own_radius = measured.radius(1 - SIGNIFICANCE, jointly=True)
     worst, text = 0.0, None
     for odd in (0, 1):
-        chosen = ends | (number % 2 == odd)
+        chosen = np.union1d(np.arange(odd, n, 2), [0, n - 1])
         half = replace(
             measured, omega=measured.omega[chosen], periods=measured.periods[:, :, chosen]
         )

@@ -99,8 +99,8 @@ def measured_response(
     Shaken, P is the best linear approximation by the robust method: periods show the noise,
     realisations of the phases the noise and what is not linear, and the radius has both; see
     :mod:`ilctools.measurement.excited`. The first period of each experiment is left out. On three
-    plants behind w + c w^3, c from 0 to 1, at most 5 % of the lines were outside their radius of
-    95 %, with two realisations and with six.
+    plants behind w + c w^3, c from 0 to 1, 1.6 to 5.2 % of the lines were outside their radius of
+    95 %, with two realisations and with six, 40 draws of the phases each.
 
     Examples
     --------
@@ -139,8 +139,8 @@ def measured_response(
         logs = [arguments.instance(f"log[{i}]", one, xr.Dataset) for i, one in enumerate(log)]
         return _warned(estimated_response(logs, **asked))
     arguments.instance("log", log, xr.Dataset)
-    other = any(value is not None for value in asked.values())
-    excitation = None if other else excitation_of(log)
+    given = any(value is not None for value in asked.values())
+    excitation = None if given else excitation_of(log)
     if excitation is None:
         measured = estimated_response([log], **asked)
     elif (loop := loop_of(log)) is None:

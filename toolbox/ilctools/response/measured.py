@@ -96,8 +96,8 @@ class Measured:
         axes = figure.subplots(2 * p, m, squeeze=False)
         radius = self.radius(CONFIDENCE, jointly=True)
         known = getattr(self, "known", np.ones(n, bool))
-        # no logarithmic axis shows zero
-        floors = np.maximum(np.abs(self.response), 1e-5 * (np.abs(self.response).max() or 1)) / 10
+        sizes = np.abs(self.response)
+        floors = np.maximum(sizes, 1e-5 * (sizes.max() or 1)) / 10  # zero is on no logarithmic axis
         for i, j in np.ndindex(p, m):
             gain, phase = axes[2 * i : 2 * i + 2, j]
             self._draw(gain, phase, self.response[:, i, j], radius, floors[:, i, j].min())

@@ -93,9 +93,11 @@ def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
     [(KNOWN, sampled, 0.001), (NAMED, unnamed, 0.001), (KNOWN, sampled, 0.0)],
 )
 def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make, noise):
+    """Without noise rounding is no sign of a loop that is not linear."""
     excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 6)
     with warnings.catch_warnings(action="error"):
         measured = measured_response(shake(make(noise), loop, excitation))
+    assert not measured.beyond_noise
     omega = np.append([0.0, 0.1, 1.0], measured.omega)
     response, radius = measured.on(omega)
     truth = KNOWN.frequency_response(omega)
