@@ -238,7 +238,7 @@ def _drift(y, W, excitation, measured):
     m, period = excitation.channels, excitation.period
     means = y.reshape(len(y), excitation.periods, period, m).mean(axis=2)
     number = np.arange(excitation.periods) - (excitation.periods - 1) / 2
-    slope = np.einsum("p,epj->ej", number, means) / np.sum(number**2)
+    slope = np.einsum("p,epj->ej", number, means) / (number @ number)
     ramp = slope[:, None] * np.arange(y.shape[1])[:, None] / period
     by_ramp = _spectra(ramp, excitation) @ np.linalg.inv(W)
     error = np.linalg.norm(by_ramp.mean(axis=(0, 1)), axis=(1, 2))
