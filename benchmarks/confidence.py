@@ -29,17 +29,17 @@ def response_and_radii(seed):
     return response.response, radii
 
 
-def main():
+def main(seeds=SEEDS):
     """Count, and print with one standard deviation."""
     # Without noise the measurement is within 1e-5 of P, a hundredth of the radii.
     truth = measured(0, noise=0.0, quantum=0.0, ambient_rate=0.0).response
     within = []
-    for response, radii in run(response_and_radii, range(SEEDS)):
+    for response, radii in run(response_and_radii, range(seeds)):
         off = np.linalg.norm(response - truth, 2, axis=(1, 2))
         within.append([np.all(off <= radius) for radius in radii])
     for confidence, share in zip(CONFIDENCES, np.mean(within, axis=0), strict=True):
-        error = np.sqrt(share * (1 - share) / SEEDS)
-        print(f"{confidence:.0%}: {share:.2%} +- {error:.2%} of {SEEDS} seeds")
+        error = np.sqrt(share * (1 - share) / seeds)
+        print(f"{confidence:.0%}: {share:.2%} +- {error:.2%} of {seeds} seeds")
 
 
 if __name__ == "__main__":

@@ -138,12 +138,12 @@ QUIET = ["plant", "said", "experiments", "trials", "false alarms", "in 1,000 tri
 LOUD = ["what is wrong", "said", "experiments", "noticed", "in trial, median", "at the latest"]
 
 
-def main():
+def main(count=COUNT, repeats=REPEATS, kinds=tuple(WRONG)):
     """Count both; the tables go to figures/performance.md."""
-    results = list(run(converging, range(COUNT)))
+    results = list(run(converging, range(count)))
     names = [*LOOPS]
     quiet = [quiet_row(name, results[i :: len(names)]) for i, name in enumerate(names)]
-    loud = list(run(loud_row, [(kind, range(REPEATS)) for kind in WRONG]))
+    loud = list(run(loud_row, [(kind, range(repeats)) for kind in kinds]))
     publish("watch", f"{table(QUIET, quiet)}\n\n{table(LOUD, loud)}\n")
 
 

@@ -85,9 +85,12 @@ def table_of(rows):
     return table(titles, lines)
 
 
-def main():
+WAYS = [(name, off) for off in OFF for name in KINDS]
+
+
+def main(ways=WAYS):
     """The table goes to figures/performance.md; whether any end is not well."""
-    rows = list(run(outcome, [(name, off) for off in OFF for name in KINDS]))
+    rows = list(run(outcome, ways))
     ends = Counter(row["end"] for row in rows)
     counts = ", ".join(f"{count} {end}" for end, count in ends.most_common())
     publish("whole_way", f"{table_of(rows)}\n\n{len(rows)} ways: {counts}.\n")

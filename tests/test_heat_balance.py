@@ -9,10 +9,10 @@ from rodlib.boards import fit_heat_balance, heat_balance
 from rodlib.paper.repository import ROOT
 
 BOARD = np.array([0.0033, 0.0018, 0.0051, 0.0018, 18.0])
-MOVES = np.repeat([[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 50, axis=0)
+MOVES = np.repeat([[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 25, axis=0)
 
 
-def simulated(parameters, moves=MOVES, Ts=2.0, zero=(21.0, 19.5)):
+def simulated(parameters, moves=MOVES, Ts=4.0, zero=(21.0, 19.5)):
     """By python-control, which knows nothing of the fit."""
     answer = control.forced_response(heat_balance(*parameters, Ts), inputs=moves.T)
     return np.asarray(answer.outputs).T + zero
@@ -27,7 +27,7 @@ def simulated(parameters, moves=MOVES, Ts=2.0, zero=(21.0, 19.5)):
     ],
 )
 def test_what_made_a_record_is_found_from_it(true):
-    fit = fit_heat_balance(MOVES, simulated(true), 2.0)
+    fit = fit_heat_balance(MOVES, simulated(true), 4.0)
     np.testing.assert_allclose(fit.values, true, rtol=1e-4)
     np.testing.assert_allclose(fit.zero, [21.0, 19.5], atol=1e-3)
     assert np.abs(fit.left).max() < 1e-3 and fit.unknown == []
@@ -50,7 +50,7 @@ def test_a_heater_that_is_idle_has_no_gain():
     readings = simulated(BOARD, moves)
     readings += 0.05 * np.random.default_rng(1).standard_normal(readings.shape)
     with pytest.warns(UserWarning, match="gain_2"):
-        fit = fit_heat_balance(moves, readings, 2.0)
+        fit = fit_heat_balance(moves, readings, 4.0)
     assert fit.unknown == ["gain_2"]
     assert fit.table().loc["gain_2", ["value", "from", "to"]].isna().all()
     rest = [0, 2, 3, 4]
@@ -64,7 +64,7 @@ def test_intervals_hold_the_truth_and_are_as_wide_as_the_noise():
         noise = np.random.default_rng(seed).standard_normal((len(MOVES), 2))
         sizes = [0.4 * noise] if seed else [0.1 * noise, 0.4 * noise]
         for size in sizes:
-            fit = fit_heat_balance(MOVES / 1000, simulated(BOARD) + size, 2.0)
+            fit = fit_heat_balance(MOVES / 1000, simulated(BOARD) + size, 4.0)
             widths.append(np.log(fit.table().to / fit.table()["from"]))
         scale = np.array([1000, 1000, 1, 1, 1])  # of another unit of the heaters
         table = fit.table()

@@ -1,5 +1,6 @@
 import re
 import shutil
+from functools import cache
 
 import matplotlib.image
 import nbformat
@@ -14,6 +15,13 @@ from rodlib.paper import ledger, published
 from rodlib.paper.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT
+
+
+@pytest.fixture(scope="module", autouse=True)
+def notebooks_read_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ledger, "code_cells", cache(ledger.code_cells))
+        yield
 
 
 def claim(printed="0.1011", criterion=""):

@@ -7,7 +7,7 @@ from functools import cache, partial
 import control
 import numpy as np
 import pytest
-from plants import LOOPS, ModelRig, axes
+from plants import LOOPS, ModelRig, axes, half
 from scipy.signal import butter, freqz_sos
 
 from ilctools import (
@@ -33,14 +33,14 @@ ORDERS = {"stage": (20, 20.0), "tanks": (10, 5.0), "furnace": (16, 5.0)}  # and 
 
 @cache
 def law_for(name):
-    """A loop with a law whose rate below one is proven at every frequency; of the rod, printed."""
+    """A loop with a law whose rate is below one; of the rod, printed."""
     loop = LOOPS[name]() if name in LOOPS else paper_loop()
     Q = zero_phase_butterworth(2, CUTOFFS[name], loop.Ts)
     if name == "rod":
         return loop, Law(Q, LearningFilter(published.matrix("L_diagonal"), 1.0))
     order, L_max = ORDERS[name]
-    given = {"order": order, "M_max": 0.9, "L_max": L_max, "everywhere": True}
-    return loop, replace(synthesise(loop, Q, **given).law(), loop=None)
+    design = synthesise(loop, Q, order=order, M_max=0.9, L_max=L_max)
+    return loop, Law(Q, design.filter)
 
 
 def taps(Q, length):
@@ -103,8 +103,7 @@ def as_trials(signal, trials):
     return signal.reshape(trials, -1, signal.shape[-1])
 
 
-@pytest.mark.parametrize("gain", [1.0, 0.6])
-@pytest.mark.parametrize("name", CUTOFFS)
+@pytest.mark.parametrize(("name", "gain"), half([*CUTOFFS], [1.0, 0.6]))
 def test_v_of_periods_is_that_of_a_plain_loop(name, gain):
     """In simulation, of signals that differ at every border, with noise."""
     loop, law = law_for(name)
@@ -120,8 +119,7 @@ def test_v_of_periods_is_that_of_a_plain_loop(name, gain):
     assert np.abs(ends - run.v[2]).max() > 1e-3 * np.abs(v).max()
 
 
-@pytest.mark.parametrize("limited", [False, True])
-@pytest.mark.parametrize("name", CUTOFFS)
+@pytest.mark.parametrize(("name", "limited"), half([*CUTOFFS], [True, False]))
 def test_a_rig_that_never_rests_is_that_plain_loop_and_its_log_replays(name, limited, tmp_path):
     loop, law = law_for(name)
     r, d, noise = signals(loop, 300, 4, size=0.0)
@@ -153,8 +151,7 @@ def test_a_rig_that_never_rests_is_that_plain_loop_and_its_log_replays(name, lim
     assert "departs from the law from trial 3 on" in replay(changed).agreement
 
 
-@pytest.mark.parametrize("gain", [1.0, 0.6])
-@pytest.mark.parametrize("name", CUTOFFS)
+@pytest.mark.parametrize(("name", "gain"), half([*CUTOFFS], [1.0, 0.6]))
 def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gain):
     loop, law = law_for(name)
     law, trials, period = replace(law, gain=gain), 100, 400
@@ -163,7 +160,8 @@ def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gai
     if gain < 1:  # from any start, with any first signal
         start = {"initial_state": np.ones(len(loop.plant.A)), "v": 1 + r[0]}
     e = run_trials(loop, law, r, d, trials, reset=False, **start).e.values
-    free = run_trials(loop, Law(law.Q, None), r, d, trials, reset=False).e.values
+    free = run_trials(loop, Law(law.Q, None), r[:20], d[:20], 20, reset=False).e.values
+    free = free[np.minimum(range(trials), 19)]  # periodic by then
     grid = np.geomspace(1e-4, np.pi, 2000) / loop.Ts
     gamma = convergence(loop, law.Q, law.L, grid).gamma
     assert gamma < 1
@@ -218,9 +216,9 @@ def test_what_is_cut_off_of_Q_is_negligible_for_M_and_no_more(gain):
     for cutoff in (0.02, 0.1, 1.0, 3.0):
         for order in (1, 2, 5):
             Q = zero_phase_butterworth(order, cutoff, 1.0)
-            h, omega = finite_response(Law(Q, L)), np.linspace(0, np.pi, 3000)
-            R = len(h) // 2
-            response = np.cos(np.outer(omega, np.arange(-R, R + 1))) @ h
+            h = finite_response(Law(Q, L))
+            R, omega = len(h) // 2, np.pi * np.arange(2**14 + 1) / 2**14
+            response = np.abs(np.fft.rfft(h, 2**15))  # but for the delay of R samples
             off = np.abs(response - Q.frequency_response(omega)).max()
             assert off <= share * (1 + 1e-6) + 1e-13
             whole = taps(Q, R + 1)

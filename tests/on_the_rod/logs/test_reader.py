@@ -1,10 +1,7 @@
 import re
 
-import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ilctools import law_of, load_log, save_log
 from ilctools.errors import LogError
@@ -38,21 +35,6 @@ def test_a_log_written_by_hand_is_read(good):
     names = [*good.output.values, *good.control.values, *good.source.values]
     assert [*names, *good.source_unit.values] == ["depth", "valve, left", "rain", ""]
     assert "delta" not in good and good.attrs == {"Ts": 1.0}
-
-
-@settings(max_examples=40)
-@given(st.integers(0, len(GOOD) - 1), st.text(max_size=3), st.integers(0, 3))
-def test_a_log_with_an_accident_is_read_or_refused(tmp_path_factory, start, text, length):
-    """With a LogError of a few lines; what is read has finite values of one shape."""
-    broken = GOOD[:start] + text + GOOD[start + length :] + "\n"
-    path = write(tmp_path_factory.mktemp("logs"), broken, errors="replace")
-    try:
-        trials = load_log(path)
-    except LogError as error:
-        assert len(str(error)) <= 1000
-    else:
-        assert trials.y.size == trials.sizes["trial"] * trials.sizes["time"]
-        assert all(np.isfinite(trials[name]).all() for name in trials.data_vars)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """A log is gone on with, by the same experiment only, from a first signal and for references."""
 
-import subprocess
-import sys
+import multiprocessing
+import signal
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,7 +21,6 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from rodlib import paper_loop
-from rodlib.paper.repository import ROOT
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
 
 LAW = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter(0.4 * np.eye(2)[..., None], 1.0))
@@ -97,32 +96,29 @@ def test_another_experiment_does_not_go_on_with_the_log(loop, tmp_path, changes,
     assert path.read_bytes() == content and rig.time == time
 
 
-WAITING = """
-import sys
-from ilctools import Law, record, zero_phase_butterworth
-from rodlib import paper_loop
-from rodlib.rigs import RestartingRig
-import numpy as np
+def hold(path, began):
+    """Record to a log, in which the first trial never begins."""
 
-class Waiting(RestartingRig):
-    def begin(self, trial):
-        print("began", flush=True)
-        sys.stdin.read()
+    class Waiting(RestartingRig):
+        def begin(self, trial):
+            began.set()
+            signal.pause()
 
-law = Law(zero_phase_butterworth(2, 0.1, 1.0), None)
-record(Waiting(), paper_loop(), law, np.ones((9, 2)), path=sys.argv[1])
-"""
+    record(Waiting(), paper_loop(), Law(LAW.Q, None), np.ones((9, 2)), path=path)
 
 
+@pytest.mark.filterwarnings("ignore:.*fork")
 def test_two_processes_do_not_record_to_one_log(loop, tmp_path):
     """The second is refused before anything is applied; not so after the first was killed."""
     path, device = tmp_path / "log.csv", VirtualRig()
-    first, pipe = [sys.executable, "-c", WAITING, path], subprocess.PIPE
-    with subprocess.Popen(first, stdin=pipe, stdout=pipe, cwd=ROOT) as process:
-        assert process.stdout.readline() == b"began\n"
-        with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
-            record(device, loop, LAW, **SHORT, path=path)
-        process.kill()
+    began = (fork := multiprocessing.get_context("fork")).Event()
+    first = fork.Process(target=hold, args=(path, began), daemon=True)
+    first.start()
+    assert began.wait(60)
+    with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
+        record(device, loop, LAW, **SHORT, path=path)
+    first.kill()
+    first.join()
     assert device.time == 0 and not path.exists()
     record(device, loop, LAW, **SHORT | {"trials": 1}, path=path)
     assert path.exists()

@@ -71,7 +71,7 @@ def test_random_plants_against_cvxpys_own_atoms(shape, L_max, objective):
     """The same problem with one sigma_max atom per frequency, as CVXPY users would write it."""
     m, structure = shape
     rng = np.random.default_rng(m)
-    n, order = 15, 3
+    n, order = 10, 3
     omega = np.linspace(0.05, np.pi, n)
     z = np.exp(1j * omega)
     P = np.eye(m) * (0.5 / (z - 0.5))[:, None, None]
