@@ -10,9 +10,9 @@ from contextlib import nullcontext
 from importlib import import_module
 from types import SimpleNamespace
 
-import nbformat
 import numpy as np
 import pytest
+from books import BOOKS, code
 
 pytest.importorskip("pytest_benchmark")
 
@@ -187,16 +187,14 @@ def test_make_measure_lists_what_there_is():
 
 
 def test_two_other_settings_of_parameters_that_each_notebook_has():
-    notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
-    assert [*parameters.SETTINGS] == [path.name[:2] for path in notebooks]
-    for path in notebooks:
-        cells = [c for c in nbformat.read(path, 4).cells if c.cell_type == "code"]
-        chosen = {s.target.id: s.value for s in ast.parse(cells[1].source).body}
-        settings = parameters.SETTINGS[path.name[:2]]
+    assert [*parameters.SETTINGS] == [name[:2] for name in BOOKS]
+    for name in BOOKS:
+        chosen = {s.target.id: s.value for s in ast.parse(code(name)[1]).body}
+        settings = parameters.SETTINGS[name[:2]]
         assert len(settings) == 2
         for setting in settings:
-            assert {*setting} <= {*chosen}, path.stem
-            assert setting != {name: ast.literal_eval(chosen[name]) for name in setting}
+            assert {*setting} <= {*chosen}, name
+            assert setting != {key: ast.literal_eval(chosen[key]) for key in setting}
 
 
 @pytest.mark.parametrize(

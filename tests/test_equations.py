@@ -10,43 +10,34 @@ import warnings
 from contextlib import redirect_stdout
 
 import matplotlib.pyplot as plt
-import nbformat
 import numpy as np
 import pytest
+from books import BOOKS, cells, code, prose
 
 from ilctools import synthesise, zero_phase_butterworth
 from rodlib import paper_choices, paper_loop
 from rodlib.paper import ROOT
 
-NOTEBOOKS = {
-    path.stem: nbformat.read(path, as_version=4).cells
-    for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
-}
-PAPER = {name: cells for name, cells in NOTEBOOKS.items() if name < "06"}
-SHORT = [name for name in NOTEBOOKS if name > "06"]
+PAPER = [name for name in BOOKS if name < "06"]
+SHORT = [name for name in BOOKS if name > "06"]
 PRINTED = range(1, 47)  # equations of the paper
 
 
-def code(cells, folded=True):
-    """The sources of code cells, of those that are shown or of all."""
-    chosen = (cell for cell in cells if cell.cell_type == "code")
-    return [c.source for c in chosen if folded or not c.metadata.get("jupyter", {})]
+def shown(name):
+    """The sources of the code cells that are not folded."""
+    return [cell.source for cell in cells(name) if not cell.metadata.get("jupyter", {})]
 
 
-def prose(cells):
-    return "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
-
-
-def words(cells):
+def words(name):
     """How many, without formulas and rows of tables."""
-    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|^\|.*", "", prose(cells), flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|^\|.*", "", prose(name), flags=re.DOTALL | re.MULTILINE)
     return len(text.split())
 
 
 def test_every_equation_of_the_paper_has_a_line_of_code():
     numbers = set()
-    for cells in PAPER.values():
-        for line in "\n".join(code(cells, folded=False)).splitlines():
+    for name in PAPER:
+        for line in "\n".join(shown(name)).splitlines():
             _, _, comment = line.partition("#")
             tags = [int(tag) for tag in re.findall(r"\((\d+)\)", comment)]
             assert len(tags) <= 2, line
@@ -56,36 +47,32 @@ def test_every_equation_of_the_paper_has_a_line_of_code():
 
 @pytest.mark.parametrize("name", PAPER)
 def test_a_notebook_of_the_paper_is_short(name):
-    cells = PAPER[name]
-    assert 500 <= words(cells) <= 1000 and len(cells) <= 24
+    assert 500 <= words(name) <= 1000 and len(BOOKS[name].cells) <= 24
     for part in ("**Question**", "**You will have seen**", "**Time**", "## The answer", "**Try**"):
-        assert part in prose(cells)
+        assert part in prose(name)
 
 
 @pytest.mark.parametrize("name", SHORT)
 def test_a_notebook_beyond_the_paper_is_short(name):
-    assert words(NOTEBOOKS[name]) <= 900 and len(NOTEBOOKS[name]) <= 20
+    assert words(name) <= 900 and len(BOOKS[name].cells) <= 20
 
 
 def test_the_paper_is_in_few_lines_and_most_of_them_are_its_mathematics():
-    every = [
-        line for cells in PAPER.values() for source in code(cells) for line in source.split("\n")
-    ]
-    assert len(every) <= 1100
-    shown = [
+    assert sum(source.count("\n") + 1 for name in PAPER for source in code(name)) <= 1100
+    lines = [
         line
-        for cells in PAPER.values()
-        for source in code(cells, folded=False)[1:]  # behind the parameters
+        for name in PAPER
+        for source in shown(name)[1:]  # behind the parameters
         for line in source.splitlines()
         if line.strip(" )]}")
     ]
     reported = re.compile(r"\s*(print|pd\.|f\"|table|rows|columns|errors|import|from|for name, )")
-    assert sum(not reported.match(line) for line in shown) >= 0.6 * len(shown)
+    assert sum(not reported.match(line) for line in lines) >= 0.6 * len(lines)
 
 
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize("name", BOOKS)
 def test_notebooks_enter_by_the_doors_and_write_the_ledger_once(name):
-    sources = code(NOTEBOOKS[name])
+    sources = code(name)
     for package in re.findall(
         r"^\s*(?:from|import) ((?:rodlib|ilctools)[\w.]*)", "\n".join(sources), re.M
     ):
@@ -114,7 +101,7 @@ def outputs(name, parameters, monkeypatch, tmp_path, of=""):
     """
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
     monkeypatch.chdir(ROOT / "notebooks")
-    imports, chosen, *sources, _ = code(PAPER[name])
+    imports, chosen, *sources, _ = code(name)
     names = {"display": print}
     with warnings.catch_warnings(action="ignore"), plt.rc_context():
         exec(f"{imports}\n{chosen}", names)
@@ -133,7 +120,7 @@ def test_what_the_notebooks_suggest_to_try_comes_out(
     name, parameters, outcome, monkeypatch, tmp_path
 ):
     (parameter,) = parameters
-    suggestion = prose(PAPER[name]).partition("**Try**")[2]
+    suggestion = prose(name).partition("**Try**")[2]
     assert f"`{parameter} = {parameters[parameter]!r}`" in suggestion
     text, missing = "", outcome
     for printed in outputs(name, parameters, monkeypatch, tmp_path):
@@ -146,7 +133,7 @@ def test_what_the_notebooks_suggest_to_try_comes_out(
 
 def test_what_notebook_3_suggests_to_try_comes_out():
     """By the synthesis alone: what the notebook asks of CVXPY takes ten times as long."""
-    suggestion = prose(PAPER["03-ilc-synthesis"]).partition("**Try**")[2]
+    suggestion = prose("03-ilc-synthesis").partition("**Try**")[2]
     assert "`L_max = 20.0`" in suggestion and "a third less noise" in suggestion
     assert "from 0.205 to 0.476" in suggestion
     loop, Q, means, noise = paper_loop(), zero_phase_butterworth(2, 0.1, 1.0), [], []

@@ -7,9 +7,9 @@ import ast
 from types import SimpleNamespace
 
 import control
-import nbformat
 import numpy as np
 import pytest
+from books import code
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import LOOPS, bump, frequencies, lifted
@@ -27,7 +27,6 @@ from ilctools import (
 from ilctools.alternatives import gradient, pd_type
 from rodlib import Rod, assumed_disturbance, assumed_reference, midr, paper_loop, sampled_response
 from rodlib.paper import published
-from rodlib.paper.repository import ROOT
 
 NAMES = {"h_infinity", "generalised_plant", "full_information", "tune", "rehearsed", "size"}
 NAMES |= {"stable_inversion", "zero_phase_inversion"}
@@ -35,9 +34,7 @@ NAMES |= {"stable_inversion", "zero_phase_inversion"}
 
 def functions(names):
     """Imports of notebook 8 and the functions of these names, as they stand there."""
-    cells = nbformat.read(ROOT / "notebooks" / "08-alternatives.ipynb", 4).cells
-    code = "\n".join(cell.source for cell in cells if cell.cell_type == "code")
-    body = ast.parse(code).body
+    body = ast.parse("\n".join(code("08-alternatives"))).body
     imports = [node for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
     defined = [n for n in body if isinstance(n, ast.FunctionDef) and n.name in names]
     return ast.Module(imports, []), ast.Module(defined, [])

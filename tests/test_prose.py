@@ -15,16 +15,17 @@ of one digit most: what must not move unseen is given with three.
 import io
 import re
 import tokenize
+from copy import deepcopy
 from decimal import Decimal
 
-import nbformat
-import pandas as pd
 import pytest
+from books import BOOKS, ROWS
+from nbformat import v4
 
 from rodlib.paper.ledger import DEVIATIONS
 from rodlib.paper.repository import ROOT
 
-NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+PERFORMANCE = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
 CONSTANTS = {  # that no cell prints, with the reason
     "02-feedback": {
         "45": "free numbers of a rotation in ten dimensions, 10 x 9 / 2",
@@ -105,28 +106,22 @@ def benchmarked(text):
 
     Of one that is gone, the text names the commit that made its section.
     """
-    page = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
     found = set()
     for name in re.findall(r"`(?:make measure WHAT=|git show \S+/)(\w+)(?:\.py)?`", text):
-        _, _, section = page.partition(f"<!-- {name} -->")
+        _, _, section = PERFORMANCE.partition(f"<!-- {name} -->")
         section = section.partition(f"<!-- end of {name} -->")[0]
         found |= {Decimal(number) for number in re.findall(NUMBER, section)}
     return found
 
 
-@pytest.fixture(scope="module")
-def ledger():
-    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
-    # entries of matrices: any digits at all
-    rows = rows[~rows.key.str.contains("[", regex=False)]
-    books = dict(list(rows.groupby("notebook")))
-    return {path.stem: books.get(path.stem, rows[:0]) for path in NOTEBOOKS}
+def rows_of(name):
+    """Of the ledger, but for the entries of matrices: any digits at all."""
+    return ROWS[(ROWS.notebook == name) & ~ROWS.key.str.contains("[", regex=False)]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_every_number_in_prose_is_computed_or_chosen(path, ledger):
-    notebook = nbformat.read(path, as_version=4)
-    assert not_found(notebook, ledger[path.stem], CONSTANTS.get(path.stem, ())) == []
+@pytest.mark.parametrize("name", BOOKS)
+def test_every_number_in_prose_is_computed_or_chosen(name):
+    assert not_found(BOOKS[name], rows_of(name), CONSTANTS.get(name, ())) == []
 
 
 def paragraphs():
@@ -141,30 +136,29 @@ def paragraphs():
                 yield paragraph
 
 
-def test_every_number_of_these_texts_is_where_it_points(ledger):
+def test_every_number_of_these_texts_is_where_it_points():
     seen = 0
     for paragraph in paragraphs():
         named = {int(number) for number in re.findall(r"[Nn]otebook (\d+)", paragraph)}
         known = set()
-        for path in NOTEBOOKS:
-            if int(path.stem[:2]) in named:
-                known |= known_numbers(nbformat.read(path, as_version=4), ledger[path.stem])
+        for name, notebook in BOOKS.items():
+            if int(name[:2]) in named:
+                known |= known_numbers(notebook, rows_of(name))
         if "performance.md" in paragraph:
-            text = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
-            known |= {Decimal(found) for found in re.findall(NUMBER, text)}
+            known |= {Decimal(found) for found in re.findall(NUMBER, PERFORMANCE)}
         for shown, factors in numbers(paragraph) if known else ():
             assert any(is_rounding_of(shown, value, factors) for value in known), (shown, paragraph)
             seen += 1
     assert seen > 30
 
 
-def test_a_wrong_number_is_found_in_prose_and_in_captions(ledger):
-    v4, name = nbformat.v4, "02-feedback"
-    notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
+def test_a_wrong_number_is_found_in_prose_and_in_captions():
+    name = "02-feedback"
+    notebook = deepcopy(BOOKS[name])
     caption = v4.new_output("display_data", {"text/markdown": "*It is 37.3 %.*"})
     notebook.cells.append(v4.new_markdown_cell("It is $0.0339$ rad/s in all."))
     notebook.cells.append(v4.new_code_cell(outputs=[caption]))
-    assert not_found(notebook, ledger[name], CONSTANTS[name]) == ["0.0339", "37.3"]
+    assert not_found(notebook, rows_of(name), CONSTANTS[name]) == ["0.0339", "37.3"]
 
 
 @pytest.mark.parametrize(

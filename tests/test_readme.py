@@ -4,10 +4,9 @@ import re
 
 import matplotlib.image
 import matplotlib.pyplot as plt
-import nbformat
 import numpy as np
-import pandas as pd
 import pytest
+from books import BOOKS, ROWS, code
 
 from ilctools import rms
 from ilctools.logs.replay import rms_by_trial
@@ -70,15 +69,12 @@ def test_it_is_short_and_has_few_numbers():
 
 
 def test_it_leads_to_every_notebook():
-    names = {path.name for path in (ROOT / "notebooks").glob("*.ipynb")}
     table = README.partition("\n## The notebooks\n")[2].partition("\n## ")[0]
-    assert sorted(re.findall(r"\]\(notebooks/([^)]+)\)", table)) == sorted(names)
+    assert sorted(re.findall(r"\]\(notebooks/([^)]+)\.ipynb\)", table)) == [*BOOKS]
 
 
 def test_notebook_11_runs_the_lines_of_the_guide():
-    path = ROOT / "notebooks" / "11-another-plant.ipynb"
-    code = [c.source for c in nbformat.read(path, 4).cells if c.cell_type == "code"]
-    lines = [line for line in "\n".join(code).splitlines() if line]
+    lines = [line for line in "\n".join(code("11-another-plant")).splitlines() if line]
     after_imports = SNIPPET[SNIPPET.index("class") :].splitlines()
     ours = [line for line in after_imports if line and "savefig" not in line]
     start = lines.index(ours[0])
@@ -87,16 +83,15 @@ def test_notebook_11_runs_the_lines_of_the_guide():
 
 def test_what_it_says_first_is_what_the_ledger_counts():
     """Of what could have differed, each kind apart: how many there are, how many agree; by name."""
-    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
-    kind = rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
+    kind = ROWS.kind.mask(ROWS.key.str.match(COEFFICIENT), "coefficient")
     said = README.partition("<!-- ledger -->\n")[2].partition("<!-- end")[0].splitlines()
     names = ["printed", "derived", "coefficient", "statement", "assumed"]
     for name, line in zip(names, said, strict=False):
-        verdicts = rows.verdict[kind == name]
-        differ = [*rows.key[verdicts.index[verdicts == DIFFERS]]]
+        verdicts = ROWS.verdict[kind == name]
+        differ = [*ROWS.key[verdicts.index[verdicts == DIFFERS]]]
         agree = (verdicts == REPRODUCED).sum()
         assert f"{KINDS[name]}: {agree} of {agree + len(differ)} agree" in line
         assert re.findall("`([^`]+)`", line) == (differ if name != "coefficient" else [])
-    vague = (rows.verdict[kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
-    unchecked = (rows.verdict == UNCHECKED).sum()
+    vague = (ROWS.verdict[kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
+    unchecked = (ROWS.verdict == UNCHECKED).sum()
     assert f"choices of ours: {vague}; cannot be checked: {unchecked}" in said[5]

@@ -9,62 +9,42 @@ import sys
 import tomllib
 from itertools import chain
 
-import nbformat
-import pandas as pd
 import pytest
+from books import BOOKS, ROWS, cells, code
 
 import rodlib
 from rodlib.paper import ROOT, ledger, published
-
-NOTEBOOKS = {
-    path.stem: nbformat.read(path, as_version=4)
-    for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
-}
-
-
-def cells(notebook, kind):
-    return [cell for cell in notebook.cells if cell.cell_type == kind]
 
 
 def text(name):
     return (ROOT / name).read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def rows():
-    path = ROOT / "figures" / "ledger.csv"
-    return pd.read_csv(path, dtype=str, keep_default_na=False)
-
-
-def test_readme_and_ledger_page_show_the_tracked_ledger(rows):
+def test_readme_and_ledger_page_show_the_tracked_ledger():
     readme = text("README.md")
-    assert ledger.splice(readme, "ledger", ledger.summary(rows)) == readme
-    assert text("figures/ledger.md") == ledger.markdown(rows)
+    assert ledger.splice(readme, "ledger", ledger.summary(ROWS)) == readme
+    assert text("figures/ledger.md") == ledger.markdown(ROWS)
 
 
-def test_each_row_and_each_figure_leads_to_the_cell_that_made_it(rows):
-    code = {
-        (name, cell.id): cell.source
-        for name, notebook in NOTEBOOKS.items()
-        for cell in cells(notebook, "code")
-    }
-    for key, row in rows.set_index("key").iterrows():
-        assert re.search(r"\.record\(", code[row.notebook, row.cell]), key
+def test_each_row_and_each_figure_leads_to_the_cell_that_made_it():
+    sources = {(name, cell.id): cell.source for name in BOOKS for cell in cells(name)}
+    for key, row in ROWS.set_index("key").iterrows():
+        assert re.search(r"\.record\(", sources[row.notebook, row.cell]), key
         direct = re.compile(rf'\.record\(\s*"{re.escape(key)}"')
-        at = [place for place, source in code.items() if direct.search(source)]
+        at = [place for place, source in sources.items() if direct.search(source)]
         assert at in ([], [(row.notebook, row.cell)])
     page = text("figures/ledger.md")
     links = re.findall(r"\(\.\./notebooks/([^)]+)\.ipynb#cell-id=([^)]+)\)", page)
-    assert len(links) > len(rows) and {*links} <= {*code}
+    assert len(links) > len(ROWS) and {*links} <= {*sources}
     figures = dict(re.findall(r"^- \[([^]]+)\]\(\1\.png\): .*=([^)]+)\)$", page, re.M))
-    for (_, cell), source in code.items():
+    for (_, cell), source in sources.items():
         for name in re.findall(r'\bsave\(\w+, "([^"]+)", caption\)', source):
             assert figures.pop(name) == cell
     assert not figures
 
 
-def test_what_can_be_reproduced_is_reproduced(rows):
-    verdicts = rows.set_index("key").verdict
+def test_what_can_be_reproduced_is_reproduced():
+    verdicts = ROWS.set_index("key").verdict
     gains = [key for key in verdicts.index if re.match(r"N\[|K_s|K_L|zero_[sz]", key)]
     certain = ["states_minimal", "sigma_P", "gamma_diagonal", "gamma_printed", *gains]
     certain += ["peak_L_diagonal", "peak_L_printed"]
@@ -72,26 +52,25 @@ def test_what_can_be_reproduced_is_reproduced(rows):
     assert set(verdicts[certain]) == {ledger.REPRODUCED}
 
 
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize("name", BOOKS)
 def test_notebooks_are_executed_in_order(name):
-    code = cells(NOTEBOOKS[name], "code")
-    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
-    tagged = [cell for cell in code if "parameters" in cell.metadata.get("tags", [])]
-    assert tagged == [code[1]]
-    outputs = list(chain(*(cell.outputs for cell in code)))
-    for output in outputs:
+    every = cells(name)
+    assert [cell.execution_count for cell in every] == list(range(1, len(every) + 1))
+    tagged = [cell for cell in every if "parameters" in cell.metadata.get("tags", [])]
+    assert tagged == [every[1]]
+    for output in chain(*(cell.outputs for cell in every)):
         assert output.output_type != "error" and output.get("name") != "stderr"
         assert not any("widget" in kind for kind in output.get("data", {}))
         # how many, depends on the rounding of the processor
         assert not re.search(r"\d+ iterations", output.get("text", ""))
     # which breaks the rendering elsewhere
-    assert "widgets" not in NOTEBOOKS[name].metadata
+    assert "widgets" not in BOOKS[name].metadata
 
 
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize("name", BOOKS)
 def test_every_picture_has_a_caption_that_stands_for_it(name):
     captions = []
-    for cell in cells(NOTEBOOKS[name], "code"):
+    for cell in cells(name):
         for k, picture in enumerate(cell.outputs):
             if "image/png" in picture.get("data", {}):
                 caption = picture.metadata["image/png"]["alt"]
@@ -105,8 +84,8 @@ def test_every_picture_has_a_caption_that_stands_for_it(name):
 
 def test_every_saved_figure_is_tracked_and_used():
     saved = set()
-    for name, notebook in NOTEBOOKS.items():
-        source = "\n".join(cell.source for cell in cells(notebook, "code"))
+    for name in BOOKS:
+        source = "\n".join(code(name))
         saved |= set(re.findall(r"\bsave\(\w+, \"([^\"]+)\", caption\)", source))
         # nor does one read what another wrote
         assert not re.search(r"build/|figures/[a-z0-9]+\.|read_csv", source), name
@@ -156,8 +135,8 @@ def test_binder_installs_what_the_notebooks_need_and_no_more():
     assert binder.items() <= lock.items()
     assert not {"playwright", "pytest", "sphinx", "mutmut", "ruff", "uv"} & {*binder}
     homes = importlib.metadata.packages_distributions()
-    for name, notebook in NOTEBOOKS.items():
-        source = "\n".join(cell.source for cell in cells(notebook, "code"))
+    for name in BOOKS:
+        source = "\n".join(code(name))
         for module in set(re.findall(r"^(?:from|import) (\w+)", source, re.MULTILINE)):
             packages = {home.lower() for home in homes.get(module, [])}
             packages |= {f"{home}-base" for home in packages}  # CVXPY without solvers

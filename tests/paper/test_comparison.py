@@ -5,6 +5,7 @@ import matplotlib.pyplot as plt
 import nbformat
 import numpy as np
 import pytest
+from books import BOOKS, cells
 from nbformat import v4
 from nbval.plugin import IPyNbFile
 
@@ -15,7 +16,6 @@ from rodlib.paper.comparison import (
     same_picture,
     same_text,
 )
-from rodlib.paper.repository import ROOT
 
 PIXEL = 72 / 200 / 140  # in data: the axes are 140 points high
 TEXT = """rate at most 0.8833, proven at all frequencies; largest near 0.042 rad/s
@@ -41,12 +41,10 @@ def nudged(text, units, less=False):
 
 def outputs():
     """All texts that the tracked notebooks show."""
-    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        for cell in nbformat.read(path, as_version=4).cells:
-            for output in cell.get("outputs", []):
-                data = output.get("data", {})
-                yield from filter(None, [output.get("text"), data.get("text/plain")])
-                yield from filter(None, [data.get("text/html"), data.get("text/markdown")])
+    for output in (o for name in BOOKS for cell in cells(name) for o in cell.outputs):
+        data = output.get("data", {})
+        kinds = (data.get(f"text/{kind}") for kind in ("plain", "html", "markdown"))
+        yield from filter(None, [output.get("text"), *kinds])
 
 
 @pytest.mark.parametrize("less", [False, True])

@@ -3,11 +3,11 @@ import shutil
 from functools import cache
 
 import matplotlib.image
-import nbformat
 import numpy as np
 import pandas as pd
 import pytest
 import results
+from books import BOOKS, ROWS, cells
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -58,15 +58,14 @@ def test_statements_are_judged_by_their_criterion(criterion, computed, outcome, 
 
 def test_tracked_rows_follow_from_what_they_show():
     """All but which cell made them: of a sentence of ours the number in it, and no verdict."""
-    tracked = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     book = Ledger("test")
-    for key, shown in zip(tracked.key, tracked.computed, strict=True):
+    for key, shown in zip(ROWS.key, ROWS.computed, strict=True):
         before, _, after = published.claims()[key].criterion.partition("{}")
         number = shown.removeprefix(before.removeprefix(ledger.WORDS)).removesuffix(after)
         book.record(key, 3e-15 if number.startswith("below") else number or None)
     columns = ledger.COLUMNS[:-2]
     rows = book.frame()[columns].reset_index(drop=True)
-    pd.testing.assert_frame_equal(rows, tracked[columns], check_dtype=False)
+    pd.testing.assert_frame_equal(rows, ROWS[columns], check_dtype=False)
 
 
 def counted(book):
@@ -221,8 +220,7 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     assert pictures == {"fig01", "fig02", "fig03", "performance"}
     rows = pd.read_csv(root / "figures" / "ledger.csv", keep_default_na=False)
     assert list(rows.key) == list(published.claims())
-    tracked = nbformat.read(ROOT / "notebooks" / "01-model.ipynb", 4)
-    assert {*rows.cell} == {tracked.cells[-1].id}
+    assert {*rows.cell} == {cells("01-model")[-1].id}
     without = [entry.key for entry in published.claims().values() if not entry.criterion]
     assert rows[(rows.verdict == DIFFERS) & rows.key.isin(without)].key.tolist() == ["N[1,1]"]
     readme = (root / "README.md").read_text()
@@ -265,20 +263,19 @@ def test_tables_show_all_rows_those_that_differ_first():
     assert order == sorted(order) and len(order) == 4
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.glob("notebooks/*.ipynb")), ids=lambda p: p.stem)
-def test_notebooks_show_each_of_their_rows(path):
+@pytest.mark.parametrize("name", BOOKS)
+def test_notebooks_show_each_of_their_rows(name):
     """But for entries of matrices, which notebooks 2 and 3 leave to the ledger."""
     outputs = [
         output.data["text/html"]
-        for cell in nbformat.read(path, as_version=4).cells
-        if cell.cell_type == "code" and "ledger.table(" in cell.source
+        for cell in cells(name)
+        if "ledger.table(" in cell.source
         for output in cell.outputs
         if "text/html" in output.get("data", {})
     ]
-    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
-    rows = rows[rows.notebook == path.stem]
-    entries = rows.key.str.contains("[", regex=False)
-    rows = rows[~entries | ~rows.notebook.isin(["02-feedback", "03-ilc-synthesis"])]
+    rows = ROWS[ROWS.notebook == name]
+    if name in ("02-feedback", "03-ilc-synthesis"):
+        rows = rows[~rows.key.str.contains("[", regex=False)]
     # a cell may show something else first
     assert sum(html.partition("<tbody>")[2].count("<tr>") for html in outputs[-1:]) == len(rows)
 

@@ -2,12 +2,10 @@
 
 import ast
 
-import nbformat
 import pytest
+from books import BOOKS, code
 
-from rodlib.paper import ROOT, checked
-
-NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+from rodlib.paper import checked
 
 
 def test_values_in_their_range_come_back_as_they_are():
@@ -43,19 +41,18 @@ def ranges(source):
     return {word.arg: word.value.elts for call in calls for word in call.keywords}
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_each_parameter_of_a_notebook_is_checked_before_it_is_used(path):
+@pytest.mark.parametrize("name", BOOKS)
+def test_each_parameter_of_a_notebook_is_checked_before_it_is_used(name):
     """By its own name and with the default that stands in the cell of the parameters."""
-    cells = nbformat.read(path, as_version=4).cells
-    _, choices, *others = [cell.source for cell in cells if cell.cell_type == "code"]
+    _, choices, *others = code(name)
     defaults = {s.target.id: s.value for s in ast.parse(choices).body}
     number, below = next((i, cell) for i, cell in enumerate(others) if ranges(cell))
-    names = [node for cell in others[:number] for node in ast.walk(ast.parse(cell))]
-    assert not {node.id for node in names if isinstance(node, ast.Name)} & {*defaults}
+    before = ast.walk(ast.parse("\n".join(others[:number])))
+    assert not {node.id for node in before if isinstance(node, ast.Name)} & {*defaults}
     assert [*ranges(below)] == [*defaults]
-    for name, (value, default, *ends) in ranges(below).items():
-        assert value.id == name
+    for parameter, (value, default, *ends) in ranges(below).items():
+        assert value.id == parameter
         default = ast.literal_eval(default)
-        assert default == ast.literal_eval(defaults[name]), name
+        assert default == ast.literal_eval(defaults[parameter]), parameter
         is_number = isinstance(default, int | float) and not isinstance(default, bool)
-        assert len(ends) == 2 or not is_number, name
+        assert len(ends) == 2 or not is_number, parameter
