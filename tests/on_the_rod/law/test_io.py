@@ -28,15 +28,30 @@ def trials(loop, Q):
     return run_trials(loop, Law(Q, None), np.zeros((30, 2)), trials=2)
 
 
-def test_a_law_is_noted_and_read_to_the_last_digit(loop, Q, trials, tmp_path):
-    limits = {"Q1": (-1.0, 1 / 3, 0.5)}
-    law = Law(Q, L, rest=7, gain=1 / 3, limits=limits, loop=loop)
-    save_log(with_law(trials, law), tmp_path / "log.csv")
-    noted = law_of(load_log(tmp_path / "log.csv"))
-    assert (noted.Q, noted.rest, noted.gain, noted.limits) == (Q, 7, 1 / 3, limits)
-    np.testing.assert_array_equal(noted.L.coefficients, L.coefficients)
-    assert noted.L.ends == "hold" and noted.bound_to(loop) is noted
+def by_log(law, trials, path):
+    save_log(with_law(trials, law), path)
+    return law_of(load_log(path))
 
+
+def by_file(law, _, path):
+    save_law(path, law, note='ε\n"')
+    assert json.loads(path.read_text(encoding="utf-8"))["note"] == 'ε\n"'
+    return load_law(path)
+
+
+@pytest.mark.parametrize("keep", [by_log, by_file])
+def test_a_law_is_kept_to_the_last_digit(keep, loop, trials, tmp_path):
+    Q, limits = zero_phase_butterworth(3, 1 / 3, 1.0, ends="hold"), {"Q1": (-1.0, 1 / 3, 0.5)}
+    filter_ = LearningFilter(1e9 * L.coefficients, 1.0, "hold")
+    law = Law(Q, filter_, rest=7, gain=1 / 3, limits=limits, loop=loop)
+    kept = keep(law, trials, tmp_path / "law.csv")
+    assert (kept.Q, kept.rest, kept.gain, kept.limits) == (Q, 7, 1 / 3, limits)
+    np.testing.assert_array_equal(kept.L.coefficients, filter_.coefficients)
+    assert (kept.L.Ts, kept.L.ends) == (1.0, "hold")
+    assert kept.loop is None or kept.bound_to(loop) is kept
+
+
+def test_what_is_usual_is_not_noted(loop, Q, trials):
     plain = with_law(trials, Law(Q, None))
     assert plain.attrs.keys() == {"Ts", "Q", "L"}  # defaults are not written
     assert law_of(plain).L is None and law_of(plain).loop is None
@@ -61,18 +76,6 @@ def test_a_law_of_another_plant_is_refused(Q, trials):
     wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))
     with pytest.raises(LogError, match="channels"):
         law_of(with_law(trials, wide))
-
-
-def test_a_file_holds_a_law_to_the_last_digit(tmp_path):
-    path, Ts, limits = tmp_path / "law.json", 1 / 7, {"ϑ": (0.0, 1 / 3)}
-    Q = zero_phase_butterworth(3, 1 / 3, Ts, ends="hold")
-    filter_ = LearningFilter(1e9 * L.coefficients, Ts, "hold")
-    save_law(path, Law(Q, filter_, rest=3, gain=0.1, limits=limits), note='ε\n"')
-    law = load_law(path)
-    np.testing.assert_array_equal(law.L.coefficients, filter_.coefficients)
-    assert (law.Q, law.L.Ts, law.L.ends) == (Q, Ts, "hold")
-    assert (law.rest, law.gain, law.limits) == (3, 0.1, limits)
-    assert json.loads(path.read_text(encoding="utf-8"))["note"] == 'ε\n"'
 
 
 def test_a_file_of_filters_alone_leaves_the_limits_to_the_rig(Q, tmp_path):

@@ -1,12 +1,9 @@
-import warnings
 from dataclasses import replace
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import half
 
 from ilctools import InfeasibleError, LearningFilter, least_gain, synthesise
 from ilctools.errors import SolverError
@@ -61,38 +58,6 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
         synthesise(*arguments, **paper_choices(band=(1e-4, 0.01)))
     problem = pose(*arguments, **paper_choices(band=(1e-4, 0.01)))
     assert certified(problem, check=False).certificate.failures
-
-
-@pytest.mark.parametrize(
-    ("shape", "L_max", "objective"),
-    half([(1, "full"), (2, "full"), (3, "diagonal")], [3.0, None], ["sum", "peak"]),
-)
-def test_random_plants_against_cvxpys_own_atoms(shape, L_max, objective):
-    """The same problem with one sigma_max atom per frequency, as CVXPY users would write it."""
-    m, structure = shape
-    rng = np.random.default_rng(m)
-    n, order = 10, 3
-    omega = np.linspace(0.05, np.pi, n)
-    z = np.exp(1j * omega)
-    P = np.eye(m) * (0.5 / (z - 0.5))[:, None, None]
-    P = P + 0.1 * rng.standard_normal((m, m)) / (z - 0.3)[:, None, None]
-    Q = 1 / (1 + omega**4)
-    band = (0.05, 1.0)
-    arguments = {"order": order, "structure": structure, "objective": objective}
-    design = synthesise(P, Q, omega, 1.0, band=band, L_max=L_max, **arguments)
-
-    taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(order)]
-    L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
-    rates = [cp.sigma_max(q * (np.eye(m) - p @ l_i)) for q, p, l_i in zip(Q, P, L, strict=True)]
-    bounds = [rate <= 0.9 for rate in rates]
-    bounds += [cp.sigma_max(l_i) <= L_max for l_i in L] if L_max else []
-    inside = (omega >= band[0]) & (omega <= band[1])
-    chosen = [rate for rate, member in zip(rates, inside, strict=True) if member]
-    value = cp.sum(cp.hstack(chosen)) if objective == "sum" else cp.max(cp.hstack(rates))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Clarabel's "may be inaccurate"
-        reference = cp.Problem(cp.Minimize(value), bounds).solve(solver=cp.CLARABEL)
-    assert design.value == pytest.approx(reference, rel=1e-5)
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
