@@ -8,7 +8,8 @@ import matplotlib
 import nbformat
 import numpy as np
 import pytest
-from plants import stage, tanks
+from plants import bump, stage, tanks
+from replayed import law_for, trials_of
 
 from ilctools import (
     ClosedLoop,
@@ -29,19 +30,6 @@ from rodlib.paper.repository import ROOT
 ODD = 'my stage\'s "log" of $HOME, ~ & `x` #1.csv'
 
 
-def run_of(loop, rest, trials=4):
-    """A run with a disturbance, and with the law noted."""
-    m = loop.plant.noutputs
-    coefficients = np.zeros((m, m, 6))
-    coefficients[range(m), range(m), -1] = 0.5
-    Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
-    L = LearningFilter(coefficients, loop.Ts)
-    reference = np.outer(np.sin(np.pi * np.arange(120) / 120) ** 2, 1.0 + np.arange(m))
-    push = np.full((120, len(loop.disturbances)), 0.2)
-    law = Law(Q, L, rest=rest, loop=loop)
-    return with_law(run_trials(loop, law, reference, push, trials), law)
-
-
 @pytest.fixture
 def root(tmp_path):
     """A repository with nothing in it."""
@@ -58,6 +46,7 @@ def next_trial(root):
 def replay_here(root, monkeypatch, capsys):
     """`make replay` in this process, which runs the notebook's cells without a kernel."""
     monkeypatch.setenv("RODLIB_RESULTS", "")  # which a run sets for its kernels
+    monkeypatch.setattr(figures, "PIXELS_PER_INCH", 40)
     monkeypatch.setattr(figures, "same_picture", lambda *_: True)  # or each is saved twice
 
     def run(notebook, executed, **parameters):
@@ -83,7 +72,7 @@ def replay_here(root, monkeypatch, capsys):
 def test_a_stage_is_replayed_with_its_own_loop(root, replay_here):
     units = {"x": "mm", "F": "N", "friction": "N"}
     loop = current_trial_loop(stage(), ["F"], {"x": 1.0, "F": 10.0}, units)
-    run = run_of(loop, rest=0)
+    run = trials_of(loop, trials=4)
     save_log(run, root / ODD)
     text, found = replay_here(ODD), replay_of(load_log(root / ODD))
     assert text.startswith(f"{found}\nv of trial 5: build/replay/next-trial.csv\n")
@@ -101,7 +90,7 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     """Three channels, with a rest, no estimate of the observer, and trials from the third on."""
     units = {"left": "cm", "middle": "mm", "right": "cm"}
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"], units=units)
-    run = run_of(loop, rest=10).isel(trial=[2, 3]).drop_vars("delta")
+    run = trials_of(loop, law_for(loop, rest=10), 4).isel(trial=[2, 3]).drop_vars("delta")
     names = ["_left", r"$\frac{$", "right"]  # no formula
     run = run.assign_coords(output=("channel", names))
     del run.attrs["loop"]
@@ -112,7 +101,7 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     reason = "left out: simulation and prediction: the log does not name its loop"
     assert text.count(reason) >= 2  # of the command, and of the notebook
     table = next_trial(root)
-    assert table.shape == (120, 4)
+    assert table.shape == (150, 4)
     assert not table[-10:, 1:].any() and table[-11, 1:].all()
     assert not (root / "build" / "replay" / "figures" / "model-fit.png").exists()
 
@@ -149,7 +138,7 @@ def test_logs_of_loops_that_are_not_ours_that_never_rest_and_in_dollars_are_repl
     P = control.ss(0.8, 0.2, 1, 0, 0.1, outputs=["price"])
     loop = ClosedLoop(P, units={"price": "$\\frac{$"})
     law = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter([[[0.5]]], 0.1))
-    reference = np.sin(np.pi * np.arange(200) / 200) ** 2
+    reference = bump(200, [1.0])
     for reset in (True, False):
         run = with_law(run_trials(loop, law, reference, trials=4, reset=reset), law.bound_to(loop))
         save_log(run, root / "log.csv")

@@ -151,7 +151,7 @@ def test_a_rig_that_never_rests_is_that_plain_loop_and_its_log_replays(name, lim
     assert "departs from the law from trial 3 on" in replay(changed).agreement
 
 
-@pytest.mark.parametrize(("name", "gain"), half([*CUTOFFS], [1.0, 0.6]))
+@pytest.mark.parametrize(("name", "gain"), [("rod", 0.6), ("tanks", 1.0), ("furnace", 1.0)])
 def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gain):
     loop, law = law_for(name)
     law, trials, period = replace(law, gain=gain), 100, 400

@@ -7,17 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from plants import LEVELS, PUMPS, bump, random_plant, stage, tanks
+from replayed import law_for, trials_of
 
-from ilctools import (
-    Law,
-    LearningFilter,
-    current_trial_loop,
-    load_log,
-    replay,
-    run_trials,
-    save_log,
-    zero_phase_butterworth,
-)
+from ilctools import Law, current_trial_loop, load_log, replay, run_trials, save_log
 from ilctools.law.notes import RESET, with_law
 from ilctools.logs.replay import rms_by_trial
 from rodlib.paper import ROOT
@@ -30,29 +22,9 @@ LOOPS = {
 }
 
 
-def law_for(loop, rest=0, gain=1.0, learning=0.5):
-    m = len(loop.outputs)
-    L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0, learning], loop.Ts)
-    Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
-    return Law(Q, L, rest, gain, loop=loop)
-
-
-def trials_of(loop, law=None, trials=3, plant=None):
-    """A smooth reference; disturbances that differ from trial to trial."""
-    loop = LOOPS[loop] if isinstance(loop, str) else loop
-    law, time = law or law_for(loop), np.arange(150)
-    m, d = len(loop.outputs), len(loop.disturbances)
-    r = bump(150, 1.0 + np.arange(m))
-    waves = np.multiply.outer(1.0 + np.arange(trials), np.sin(0.05 * time)) + 1
-    waves = np.repeat(waves[..., None], d, axis=2)
-    with warnings.catch_warnings(action="ignore"):  # not all of them converge
-        run = run_trials(loop, law, r, waves, trials, plant=plant)
-    return with_law(run, law)
-
-
 @pytest.mark.parametrize("name", LOOPS)
 def test_with_the_right_model_simulation_and_prediction_are_the_log(name, tmp_path):
-    run = trials_of(name, law_for(LOOPS[name], rest=20, gain=0.3))
+    run = trials_of(LOOPS[name], law_for(LOOPS[name], rest=20, gain=0.3))
     save_log(run, tmp_path / "log.csv")
     replayed = replay(load_log(tmp_path / "log.csv"))
     y = run.y.values
@@ -84,7 +56,7 @@ def test_the_fit_measures_how_wrong_a_model_is():
         plant.A, plant.B * [0.9, 0.9, 0.9, 1], plant.C, 0, plant.dt,
         inputs=plant.input_labels, outputs=plant.output_labels,
     )  # fmt: skip
-    replayed = replay(trials_of("tanks", plant=weak))
+    replayed = replay(trials_of(LOOPS["tanks"], plant=weak))
     trial = replayed.trials.isel(trial=1)
     inputs = np.hstack([trial.u, trial.disturbance])
     y_hat = control.forced_response(plant, inputs=inputs.T).outputs.T
@@ -100,7 +72,7 @@ def test_the_fit_measures_how_wrong_a_model_is():
 
 def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     whole = law_for(LOOPS["tanks"], rest=15, gain=0.4)
-    trials = trials_of("tanks", whole)
+    trials = trials_of(LOOPS["tanks"], whole)
     law = {key: value for key, value in trials.attrs.items() if key != "loop"}
     replayed = replay(trials.drop_attrs().assign_attrs(law))
     assert replayed.simulated is replayed.predicted is replayed.fit is replayed.disturbance is None
@@ -129,14 +101,14 @@ def test_disturbances_may_count_as_unmeasured_or_not_be_in_the_model():
     simulation = partial.rms["RMS (K), simulation"]
     assert simulation[5] == pytest.approx(1.04, abs=0.005)  # of notebook 5
     assert np.any(partial.simulated.y != replay(trials).simulated.y)
-    replayed = replay(trials_of("stage").assign_coords(source=["draught"]))
+    replayed = replay(trials_of(LOOPS["stage"]).assign_coords(source=["draught"]))
     assert not replayed.disturbance.any()
     (omission,) = replayed.omissions
     assert "draught" in omission
 
 
 def test_trials_are_identified_by_their_numbers():
-    trials = trials_of("stage", trials=6)
+    trials = trials_of(LOOPS["stage"], trials=6)
     shuffled = trials.sel(trial=[3, 1, 2, 6, 5, 4])
     assert replay(shuffled).trials.identical(replay(trials).trials)
     some, last = replay(trials.sel(trial=[5, 2, 3])), replay(trials.sel(trial=[4, 5]))
@@ -149,7 +121,7 @@ def test_trials_are_identified_by_their_numbers():
 
 def test_without_learning_v_is_zero():
     law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
-    run = trials_of("stage", law)
+    run = trials_of(LOOPS["stage"], law)
     assert replay(run).agreement.endswith("in every trial")
     assert not replay(run).following.any()
     run["v"][1, 5] = 1e-6
@@ -159,7 +131,7 @@ def test_without_learning_v_is_zero():
 @pytest.mark.parametrize("exponent", [-9, 9])
 @pytest.mark.parametrize(("trial", "channel"), [(1, 0), (3, 2)])
 def test_a_departure_from_the_law_is_found_in_any_unit(trial, channel, exponent):
-    run = trials_of("tanks")
+    run = trials_of(LOOPS["tanks"])
     for name in ("reference", "v", "u", "delta", "y", "e"):
         run[name] = 10.0**exponent * run[name]
     largest = np.abs(run.v.values[..., channel]).max()
@@ -183,7 +155,7 @@ def test_an_unstable_plant_is_simulated_but_not_predicted():
 
 def test_the_next_v_is_read_back_equal(tmp_path):
     names, path = ['a, "b"', "# 2", "ϑ / K"], tmp_path / "next.csv"
-    trials = trials_of("tanks").assign_coords(output=("channel", names))
+    trials = trials_of(LOOPS["tanks"]).assign_coords(output=("channel", names))
     del trials.attrs["loop"]  # of the plant's former names
     replayed = replay(trials)
     replayed.save_following(path)
@@ -195,7 +167,7 @@ def test_the_next_v_is_read_back_equal(tmp_path):
 
 
 def test_errors_are_summed_over_channels_of_one_unit():
-    e = trials_of("tanks").e.assign_coords(output_unit=("channel", ["cm", "", "cm"]))
+    e = trials_of(LOOPS["tanks"]).e.assign_coords(output_unit=("channel", ["cm", "", "cm"]))
     table, squares = rms_by_trial(e), (e.values**2).mean(axis=1)
     assert table.columns.tolist() == ["RMS of left, right (cm)", "RMS of middle"]
     expected = np.c_[squares[:, [0, 2]].sum(1), squares[:, 1]]
@@ -203,22 +175,17 @@ def test_errors_are_summed_over_channels_of_one_unit():
 
 
 def test_a_replay_is_printed_in_lines_and_warns():
-    lines = repr(replay(trials_of("tanks"))).splitlines()
+    lines = repr(replay(trials_of(LOOPS["tanks"]))).splitlines()
     assert lines[0] == "3 trials of 150 samples, Ts = 2 s"
     assert lines[1].endswith("in every trial") and "cm" in lines[3]
     for k, line in enumerate(lines[5:8], 1):
         number, log, simulation = line.split()
         assert int(number) == k and log == simulation
     assert "left 100 %" in lines[8] and len(lines) == 9
-    run = trials_of("tanks", law_for(LOOPS["tanks"], learning=-2.0), trials=6)
+    run = trials_of(LOOPS["tanks"], law_for(LOOPS["tanks"], learning=-2.0), trials=6)
     with pytest.warns(UserWarning, match="the error grows") as caught:
         replayed = replay(run)
     assert caught[0].filename == __file__ and len(caught) == 1
     assert "WARNING: the error grows" in repr(replayed)
     with warnings.catch_warnings(action="error"):
         assert replay(run.isel(trial=[0, 2, 5])).warnings == ()
-
-
-def replay_quietly(trials):
-    with warnings.catch_warnings(action="ignore"):
-        return replay(trials)

@@ -139,19 +139,6 @@ def rod():
     return run
 
 
-def test_on_a_rod_that_is_off_outputs_may_be_swapped(rod):
-    """With and without heat flows that repeat, from one task; the old v is worse than none."""
-    reference = assumed_reference()
-    swapped = reference[:, ::-1]
-    for disturbance, most in ((None, 0.05), (assumed_disturbance(trials=1, first=1)[0], 1.2)):
-        done = rod(reference, disturbance, 6)
-        result = transfer(done, swapped)
-        first = rms(rod(swapped, disturbance, v=result.v).e).item()
-        assert first < 0.03 * rms(rod(swapped, disturbance).e).item()
-        assert first < 0.05 * rms(rod(swapped, disturbance, v=done.v.values[-1]).e).item()
-        assert np.sqrt(np.mean(result.compensation**2)) < most
-
-
 def test_a_disturbance_that_came_in_between_is_reported(rod):
     came = assumed_disturbance(trials=8, first=4)
     done = rod(assumed_reference(), came, 8)
