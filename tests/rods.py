@@ -4,7 +4,8 @@ import control
 import numpy as np
 from hypothesis import strategies as st
 
-from rodlib import Rod, exact_response
+from rodlib import Rod
+from rodlib.approximations import modal_series
 
 MATERIALS = st.builds(
     Rod,
@@ -41,21 +42,7 @@ def readings_of(rig, commands):
 
 
 def modal_model(specimen, Ts, modes=250):
-    """The rod behind a hold with so many modes, the others as gains that act within a sample."""
-    rod = specimen.rod
-    n = np.arange(modes)
-    rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2
-    p = np.exp(-rate * Ts / rod.kappa_1)
-    middles = (np.arange(rod.sections) + 0.5) / rod.sections
-    shown = np.cos(np.outer(rod.sensors, n * np.pi / rod.length))
-    r = np.zeros((modes, rod.sections + 1))
-    r[:, :-1] = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
-    r[:, :-1] *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
-    r[0, -1] = 1
-    gains = np.append(specimen.gains, 1)
-    left = exact_response(rod, 0.0)[0].real - shown @ r
-    m = len(rod.sensors)
-    A = np.diag(np.append(p, np.zeros(m)))
-    B = np.vstack([(1 - p)[:, None] * r, left]) * gains
-    C = np.hstack([shown, np.eye(m)])
-    return control.ss(A, B, C, 0, Ts, inputs=rod.inputs, outputs=rod.outputs)
+    """The rod behind a hold with so many modes, whose elements have gains."""
+    model = control.sample_system(modal_series(specimen.rod, modes), Ts, "zoh")
+    names = {"inputs": specimen.rod.inputs, "outputs": specimen.rod.outputs}
+    return control.ss(model.A, model.B * [*specimen.gains, 1], model.C, 0, Ts, **names)

@@ -6,6 +6,7 @@ import skfem
 from hypothesis import given
 from hypothesis import strategies as st
 from rods import BRASS, MATERIALS
+from scipy.linalg import solve_continuous_lyapunov
 
 from ilctools.models import frequency_response
 from rodlib import Rod, exact_response, midr
@@ -89,12 +90,10 @@ def test_one_element_in_each_section_is_midr(rod, sensors, degree):
 
 
 def hankel_singular_values(model):
-    """From the eigenvalues of the product of both Gramians, each by a Kronecker sum."""
-    n, eye = model.nstates, np.eye(model.nstates)
-    sums = np.kron(model.A, eye) + np.kron(eye, model.A)
-    P = np.linalg.solve(sums, -(model.B @ model.B.T).ravel()).reshape(n, n)
-    sums = np.kron(model.A.T, eye) + np.kron(eye, model.A.T)
-    O = np.linalg.solve(sums, -(model.C.T @ model.C).ravel()).reshape(n, n)  # noqa: E741
+    """From the eigenvalues of the product of both Gramians."""
+    A, B, C = model.A, model.B, model.C
+    P = solve_continuous_lyapunov(A, -B @ B.T)
+    O = solve_continuous_lyapunov(A.T, -C.T @ C)  # noqa: E741
     return np.sort(np.sqrt(np.abs(np.linalg.eigvals(P @ O))))[::-1]
 
 

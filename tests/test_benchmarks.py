@@ -134,7 +134,7 @@ def test_a_heater_board_is_known_from_long_moves_around_the_working_point(monkey
     given = z, B.u.values[0], noise
     monkeypatch.setattr(boards, "OMEGA", boards.OMEGA[::3])
     with monkeypatch.context() as fewer:
-        fewer.setattr(boards, "DRAWN", 10)
+        fewer.setattr(boards, "DRAWN", 3)
         left, least, direct, unknown = boards.moved("by the minute, 36 min", 1, *given)
     assert left < 0.2 and least < direct < 1 and not unknown
     bent, none, *_ = boards.moved("those of log B, 10 min", 1, *given)

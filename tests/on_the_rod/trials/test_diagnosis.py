@@ -79,7 +79,7 @@ def cases(tank_law):
     return cases
 
 
-@settings(max_examples=15)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1))
 def test_ordinary_trials_are_not_warned_of(cases, seed):
     """Converging, with noise, white or not, and disturbances that repeat or do not."""
