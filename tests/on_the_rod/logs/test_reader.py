@@ -78,6 +78,7 @@ def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
         "\N{BOM}" + GOOD,
         GOOD.replace("\n", "\r\n"),
         GOOD.replace("1.0,", '"1.0",'),
+        GOOD.replace("# Ts", "# a comment\n\n# Ts"),
         GOOD.replace("\n2,0", "\n# a comment\n\n  \n# another: one\n2,0"),
         GOOD.replace("trial,time,", "trial, time, "),
         re.sub(",([123]),1", r",\1e3,1", GOOD.replace("1.0 s", "1e3 ms")),
