@@ -25,6 +25,7 @@ import peers
 import regions
 import report
 import runner
+import survey
 import watch
 import whole_way
 
@@ -122,9 +123,11 @@ def test_constants_are_halved_doubled_and_put_back(monkeypatch):
     assert all(hasattr(module, name) for name, module in constants.CONSTANTS.items())
 
 
-def test_what_does_not_learn_in_silence_or_says_too_much_is_counted():
+def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkeypatch):
     late = {"rms": np.array([1.0, 0.01, 0.3]), "noise": 0.01, "said": []}
     assert whole_way.end_of(late) == "silent"
+    monkeypatch.setattr(survey, "synthesise", lambda *arguments, **options: 1 / 0)
+    assert survey.outcome(4)["end"].startswith("ZeroDivisionError")
     assert watch.quiet_row("furnace", [(10, {"model": 3})])[4:] == ["1", "100.00"]
 
 
