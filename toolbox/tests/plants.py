@@ -12,6 +12,12 @@ PUMPS = ["pump A", "pump B", "pump C"]
 LEVELS = ["left", "middle", "right"]
 
 
+_S = control.tf("s")
+STAGE_WITH_MODES = control.sample_system(  # lightly damped, behind a loop of 100 rad/s
+    control.ss(1e4 / (_S**2 + 120 * _S + 1e4) * (0.9 + 0.1 * 4e4 / (_S**2 + 4 * _S + 4e4))), 1e-3
+)
+
+
 def half(*choices):
     """Half of all combinations of choices, in which any two of different kinds still meet."""
     places = product(*(range(len(options)) for options in choices))
@@ -56,10 +62,13 @@ def random_plant(rng, n=4, m=2):
     )  # fmt: skip
 
 
-def random_response(seed, m, n=30, gain=1.0):
-    """A stable plant with coupling, and a low-pass Q, on n frequencies up to Nyquist."""
+def random_response(seed, m, n=24, gain=1.0, grid=np.linspace):
+    """A stable plant with coupling, and a low-pass Q, on n frequencies up to Nyquist.
+
+    Where a decade is coarse for L, bounds on it are added between; on a line none are.
+    """
     rng = np.random.default_rng(seed)
-    omega = np.geomspace(1e-2, np.pi, n)
+    omega = grid(1e-2, np.pi, n)
     z = np.exp(1j * omega)[:, None, None]
     poles = rng.uniform(0.3, 0.95, (m, m))
     P = np.eye(m) + 0.2 * rng.standard_normal((m, m))
@@ -125,6 +134,12 @@ def random_stable(seed, n=4, m=2, distance=0.1, scale=1.0, Ts=0.5):
     A *= (1 - distance) / np.abs(np.linalg.eigvals(A)).max()
     B, C, D = (rng.standard_normal(shape) for shape in ((n, m), (m, n), (m, m)))
     return control.ss(A, scale * B, C, scale * D, Ts)
+
+
+def invertible(seed, m):
+    """A random stable plant of which little is delayed, so that L can invert it."""
+    model = random_stable(seed, 3, m, Ts=1.0)
+    return control.ss(model.A, model.B, model.C, model.D + 2 * np.eye(m), 1.0)
 
 
 def complex_normal(rng, *shape):

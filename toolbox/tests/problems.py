@@ -19,9 +19,9 @@ def memory(function):
     return peak
 
 
-def plant(m, n=20, seed=0):
+def plant(m, n=20, seed=0, grid=np.geomspace):
     rng = np.random.default_rng(seed)
-    omega = np.geomspace(1e-3, np.pi, n)
+    omega = grid(1e-3, np.pi, n)
     z = np.exp(1j * omega)[:, None, None]
     P = (np.eye(m) + 0.2 * rng.standard_normal((m, m))) * 0.2 / (z - 0.8)
     return P, 1 / (1 + omega**4), omega

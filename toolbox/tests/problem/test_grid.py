@@ -56,7 +56,7 @@ def test_no_filter_that_keeps_the_bound_on_the_grid_passes_it_between(m, order, 
 
 
 @EXPECTED
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(st.sampled_from([1, 2]), st.sampled_from([8, 20]), st.floats(0.6, 2.8), st.integers(0, 999))
 def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
     P, omega = table(seed, m, n, last)
@@ -66,16 +66,11 @@ def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
     L = design.filter.frequency_response(DENSE)
     assert largest_singular_values(L).max() <= 4 * (1 + 1e-9)
     assert design.sigma_M.shape == design.omega.shape == (n,)
-    above, rng = last < DENSE, np.random.default_rng(seed)
-    size, beyond = np.linalg.norm(P[-1], 2), design.certificate.beyond
-    q = Q.frequency_response(DENSE[above])[:, None, None]
-    for _ in range(20):
-        other = rng.standard_normal((2, above.sum(), m, m))
-        other = other[0] + 1j * other[1]
-        other *= size / largest_singular_values(other)[:, None, None]
-        M = q * (np.eye(m) - other @ L[above])
-        assert largest_singular_values(M).max() <= beyond.sigma * (1 + 1e-3)
-    assert beyond.sigma <= 0.95 * (1 + 1e-9)
+    above, beyond = last < DENSE, design.certificate.beyond
+    # the worst P of the size of the last sample turns L against I
+    of_L = np.linalg.norm(P[-1], 2) * largest_singular_values(L[above])
+    M = Q.frequency_response(DENSE[above]) * (1 + of_L)
+    assert M.max() <= beyond.sigma * (1 + 1e-3) and beyond.sigma <= 0.95 * (1 + 1e-9)
 
 
 def test_above_a_table_Q_is_that_of_the_frequency_before(Q):

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -36,7 +37,7 @@ LAW = Law(zero_phase_butterworth(2, 60.0, 0.01), LearningFilter([[[0.5]]], 0.01)
 REFERENCE = np.sin(np.pi * np.arange(200) / 200) ** 2
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def foreground():
     """Whoever runs tests in the background may have them ignore signals."""
     usual = {"SIGINT": signal.default_int_handler, "SIGHUP": signal.SIG_DFL}
@@ -61,13 +62,15 @@ class Axis:
 
 UNSAFE = "THE RIG MAY NOT BE SAFE: what should leave it safe has failed"
 HEATED = """
-import os, sys, threading, time
+import gc, os, sys, threading, time
 import numpy as np
 from ilctools import ClosedLoop, Law, record, zero_phase_butterworth
 
+LAW = Law(zero_phase_butterworth(2, 9.0, 0.01), None)
+
 class Heater:
     def read(self):
-        if sys.argv[1] == "fork":
+        if way == "fork":
             if not os.fork():
                 sys.exit()
             os.wait()
@@ -81,36 +84,45 @@ class Heater:
         print("safe", flush=True)
 
 def run():
-    loop = ClosedLoop(Ts=0.01, outputs=["T"])
-    record(Heater(), loop, Law(zero_phase_butterworth(2, 9.0, 0.01), None), np.ones(10_000))
+    record(Heater(), ClosedLoop(Ts=0.01, outputs=["T"]), LAW, np.ones(1_000), trials=1)
 
-if sys.argv[1] == "thread":
+gc.freeze()  # or a child would collect all that was imported when it ends
+for way in sys.argv[1:]:  # each in a process of its own, which need not import anything
+    if not os.fork():
+        break
+    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
+else:
+    sys.exit()
+print(os.getpid(), flush=True)
+if way == "thread":
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     thread.join()
 run()
 """
+WAYS = {"SIGTERM": 128 + 15, "SIGHUP": 128 + 1, "SIGINT": -2, "thread": -2, "fork": -2}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize(
-    ("way", "ends"),
-    [("SIGTERM", 128 + 15), ("SIGHUP", 128 + 1), ("SIGINT", -2), ("thread", -2), ("fork", -2)],
-)
-def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short(way, ends):
+def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short():
     """Also where another thread runs it; and no child that the driver forks leaves the rig safe."""
-    folder = Path(ilctools.__path__[0]).parent
-    call, pipe = [sys.executable, "-c", HEATED, way], subprocess.PIPE
-    options = {"stdout": pipe, "stderr": pipe, "text": True, "cwd": folder}
-    with subprocess.Popen(call, **options) as child:
-        assert child.stdout.readline() == "1.0\n"
-        child.send_signal(getattr(signal, way, signal.SIGINT))
-        while child.stdout.readline() not in ("leaving\n", ""):
-            pass
-        if way != "thread":
-            child.send_signal(signal.SIGTERM)
-        assert child.stdout.read() == "safe\n"
-    assert child.returncode == ends
+    call = [sys.executable, "-c", HEATED, *WAYS]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    folder, seen = Path(ilctools.__path__[0]).parent, []
+    with subprocess.Popen(call, **options, cwd=folder) as parent:
+        line = parent.stdout.readline
+        for way in WAYS:
+            child = int(line())
+            assert line() == "1.0\n"
+            os.kill(child, getattr(signal, way, signal.SIGINT))
+            while not re.fullmatch(r"-?\d+\n", text := line()):
+                if text != "1.0\n":
+                    seen.append(text)
+                if text == "leaving\n" and way != "thread":
+                    os.kill(child, signal.SIGTERM)
+            seen.append(int(text))
+    expected = [["leaving\n", "safe\n", code] for code in WAYS.values()]
+    assert seen == sum(expected, [])
 
 
 @pytest.mark.parametrize("call", [1, 2, 3, 404])

@@ -18,7 +18,7 @@ from ilctools.synthesis.solver import interior_point, newton
 from ilctools.synthesis.statement import statement
 
 
-@pytest.mark.filterwarnings("ignore:the filter leaves")
+@pytest.mark.filterwarnings("ignore:the filter leaves", "ignore:.*between the frequencies omega")
 @settings(max_examples=10)
 @given(
     st.integers(1, 3),
@@ -110,9 +110,9 @@ def test_the_gap_may_widen_before_it_closes():
 
 
 def test_memory_grows_neither_as_the_square_of_the_order_nor_of_the_frequencies():
-    """Of synthesis and certificate: 3,000 of these squared have 72 MB, 60 x 60 x 3,000 have 173."""
-    arguments = *lag(30, 0.1, n=3000), 1.0
-    assert memory(lambda: synthesise(*arguments, order=60)) < 1.6e8
+    """Of synthesis and certificate: complex, 1,500 x 1,500 have 36 MB, 60 x 60 x 1,500 have 86."""
+    arguments = *lag(30, 0.1, n=1500), 1.0
+    assert memory(lambda: synthesise(*arguments, order=60)) < 5e7
 
 
 @pytest.mark.parametrize(("T", "order", "gain"), [(3.0, 40, 1e-6), (300.0, 10, 1e6)])
@@ -133,7 +133,7 @@ def small_program(m, structure, objective, robust):
     choices |= {"structure": structure, "objective": objective}
     if not robust:
         return formulate(pose(P, Q, omega, 1.0, **choices)).program
-    plants, radius = [P, P * 1.05, P * 0.96], np.full(30, 0.05)
+    plants, radius = [P, P * 1.05, P * 0.96], np.full(len(omega), 0.05)
     problem = pose(plants, Q, omega, 1.0, uncertainty=radius, **choices)
     return formulate(problem, [1, 2, 1], [3, 3, 7]).program
 
