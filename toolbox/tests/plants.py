@@ -5,7 +5,7 @@ from itertools import product
 import control
 import numpy as np
 
-from ilctools import current_trial_loop
+from ilctools import current_trial_loop, frequency_response
 from ilctools.models import impulse_response
 
 PUMPS = ["pump A", "pump B", "pump C"]
@@ -24,6 +24,28 @@ def half(*choices):
     return [
         values for at, values in zip(places, product(*choices), strict=True) if sum(at) % 2 == 0
     ]
+
+
+def lag(pole=0.9, gain=1.0, Ts=1.0):
+    """Of first order, with this gain at rest."""
+    return control.ss(pole, gain * (1 - pole), 1, 0, Ts)
+
+
+def response_of(coefficients, omega):
+    """sum over k of C_k z^k, k = 1, 2, ..., at a sampling period of one."""
+    z = np.exp(1j * np.outer(omega, np.arange(1, 1 + coefficients.shape[-1])))
+    return np.einsum("ijk,nk->nij", coefficients, z)
+
+
+def sigma_of_M(omega, P, Q, L):
+    """sigma_max(Q (I - P L)) by the book; each a model, a filter, or samples on omega."""
+    P, Q, L = (
+        X if isinstance(X, np.ndarray)
+        else frequency_response(X, omega) if isinstance(X, control.StateSpace)
+        else X.frequency_response(omega)
+        for X in (P, Q, L)
+    )  # fmt: skip
+    return np.linalg.norm(Q[:, None, None] * (np.eye(L.shape[-1]) - P @ L), 2, axis=(-2, -1))
 
 
 def stage(length=1e-3, force=1.0, Ts=1e-3):
@@ -149,10 +171,10 @@ def complex_normal(rng, *shape):
 class ModelRig:
     """A sampled model as a rig, noisy, with actuators reversed or at a limit."""
 
-    def __init__(self, model, inputs=None, *, signs=1.0, limit=np.inf, noise=0.0):
+    def __init__(self, model, inputs=None, *, signs=1.0, limit=np.inf, noise=0.0, seed=0):
         self.model, self.inputs = model, inputs or model.input_labels
         self.signs, self.limit, self.noise = signs, limit, noise
-        self.random, self.x = np.random.default_rng(0), np.zeros(model.nstates)
+        self.random, self.x = np.random.default_rng(seed), np.zeros(model.nstates)
         self.sent, self.ends = [], 0
 
     def read(self):

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_choices
-from plants import random_stable, tanks
+from plants import LOOPS, invertible, lag, sigma_of_M
 
 from ilctools import (
     InfeasibleError,
     convergence,
-    current_trial_loop,
     rate,
     synthesise,
     worst_case,
@@ -38,10 +37,6 @@ def lags(gain=1.0, pole=0.9):
     """Two lags with coupling."""
     A = [[pole, 0.05], [0.02, pole - 0.1]]
     return control.ss(A, gain * np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
-
-
-def response(model):
-    return frequency_response(model, OMEGA)
 
 
 MODELS = [lags(), lags(1.3), lags(0.8, 0.93)]
@@ -113,11 +108,11 @@ def test_a_design_says_its_rate_filter_and_period_and_convergence_needs_no_grid(
 
 def test_a_bound_that_holds_on_the_grid_only_warns(good):
     """Of tanks without a bound on L, on a grid of 60 frequencies."""
-    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    loop = LOOPS["tanks"]()
     Q, omega = zero_phase_butterworth(2, 0.3, 2.0), np.geomspace(1e-3, np.pi / 2, 60)
     with pytest.warns(match="between the frequencies omega") as record:
         design = synthesise(loop, Q, omega, **paper_choices(L_max=None, band=(1e-3, 0.06)))
-    dense = np.linspace(0, np.pi / 2, 20001)
+    dense = np.linspace(0, np.pi / 2, 5001)
     gamma = convergence(loop, Q, design.filter, dense).gamma
     assert design.certificate.all_M == pytest.approx(gamma, rel=1e-5)
     assert f"reaches {gamma:.4g}, where" in str(record[0].message)
@@ -125,14 +120,15 @@ def test_a_bound_that_holds_on_the_grid_only_warns(good):
         assert len(replace(good, exact=[replace(good.peak, sigma=sigma)]).warnings) == count
 
 
-def test_a_certificate_fails_from_the_tolerance_on(good):
+def test_a_certificate_fails_from_the_tolerance_on_and_warns_from_a_quarter_of_the_margin(good):
     """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; M from one on anywhere."""
 
     def failures(sigma_M=0.9, all_M=0.9, **changes):
         worst = replace(good.worst, sigma=np.full(good.grid.omega.shape, sigma_M))
         peak = replace(good.peak, sigma=all_M, omega=0.25)
         changed = replace(good, worst=worst, exact=[peak], **changes)
-        assert str(changed).count("FAILS: ") == len(changed.failures)
+        # else margins are computed for the print
+        assert changed.rate < 1 or str(changed).count("FAILS: ") == len(changed.failures)
         return changed.failures
 
     bound = good.value * (1 - 1e-6)
@@ -148,18 +144,11 @@ def test_a_certificate_fails_from_the_tolerance_on(good):
     assert codes(failures(1.0, 1.0, lower_bound=bound / 2)) == ["gap", "M", "one or more"]
     perfect = replace(good, value=1e-9 * good.problem.idle, lower_bound=0.0)
     assert perfect.gap == pytest.approx(1e-7)  # relative to a hundredth of the idle
-
-
-def test_an_estimate_warns_from_a_quarter_of_the_margin_on(good):
-    def estimated(all_M):
-        peak = replace(good.peak, sigma=all_M, omega=0.3)
-        certificate = replace(good, exact=[], estimated=[peak])
-        assert certificate.failures == []
-        return certificate.warnings
-
-    assert not estimated(0.924)
-    [found] = estimated(0.926)
-    assert (found.code, found.value, found.place) == ("samples", 0.926, "at 0.3 rad/s")
+    for sigma, expected in ((0.924, []), (0.926, [("samples", 0.926, "at 0.3 rad/s")])):
+        peak = replace(good.peak, sigma=sigma, omega=0.3)
+        estimate = replace(good, exact=[], estimated=[peak])
+        found = [(found.code, found.value, found.place) for found in estimate.warnings]
+        assert found == expected and estimate.failures == []
 
 
 def peak_around(plant, design, angle):
@@ -207,29 +196,25 @@ def test_what_lies_below_the_first_measured_frequency(Q):
 @pytest.mark.filterwarnings("ignore:.*they show too little of P")
 @pytest.mark.parametrize("grid", [np.geomspace(1e-3, np.pi, 60), np.linspace(0.01, np.pi, 300)])
 def test_the_truth_between_samples_is_below_the_estimate(loop, Q, grid):
-    P = loop.frequency_response(grid)
     asked = paper_choices(band=(grid[0], 0.03), M_max=0.99)
-    design = synthesise(P, Q, grid, 1.0, **asked)
-    dense = np.geomspace(grid[0], np.pi, 20001)
-    gamma = convergence(loop, Q, design.filter, dense).gamma
-    assert design.certificate.grid_M < gamma <= design.rate < 1.1 * gamma
+    design = synthesise(loop.frequency_response(grid), Q, grid, 1.0, **asked)
+    truth = sigma_of_M(np.geomspace(grid[0], np.pi, 5001), loop, Q, design.filter).max()
+    assert design.certificate.grid_M < truth <= design.rate < 1.1 * truth
 
 
 @given(st.integers(0, 999), st.integers(1, 2))
 def test_the_truth_between_samples_of_random_plants_is_below_the_estimate(seed, m):
     """Where samples are close enough to show all of them."""
-    model = random_stable(seed, 3, m, 0.1, Ts=1.0)
-    model = control.ss(model.A, model.B, model.C, model.D + 2 * np.eye(m), 1.0)
-    omega, low = np.geomspace(0.01, np.pi, 120), zero_phase_butterworth(2, 0.5, 1.0)
-    design = synthesise(frequency_response(model, omega), low, omega, 1.0)
-    dense = np.geomspace(0.01, np.pi, 20001)
-    gamma = convergence(frequency_response(model, dense), low, design.filter, dense).gamma
-    assert gamma <= design.rate * (1 + 1e-6)
+    model, Q = invertible(seed, m), zero_phase_butterworth(2, 0.5, 1.0)
+    omega = np.geomspace(0.01, np.pi, 120)
+    design = synthesise(frequency_response(model, omega), Q, omega, 1.0)
+    truth = sigma_of_M(np.geomspace(0.01, np.pi, 5001), model, Q, design.filter)
+    assert truth.max() <= design.rate * (1 + 1e-6)
 
 
 def test_learning_that_does_nothing_is_named():
     problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
-    none = 0 * response(MODELS[0])
+    none = np.zeros((64, 2, 2))
     nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, 0)
     [found] = certify(problem, problem, nothing).warnings
     assert (found.code, found.value) == ("idle", 1)
@@ -254,11 +239,12 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
 @pytest.mark.parametrize("model", [False, True])
 def test_between_the_samples_the_radius_is_interpolated(model):
     """Judged on a dense grid by the exact bound; a model alone keeps its proof."""
-    P = response(MODELS[0])
+    P = frequency_response(MODELS[0], OMEGA)
     radius = 0.1 * np.linalg.norm(P, 2, axis=(1, 2))
     design, certificate, text = of_lags(MODELS[0] if model else P, uncertainty=radius)
     assert certificate.failures == [] and not certificate.proven
-    dense = np.geomspace(1e-3, np.pi, 20001)[1:-1]
+    near = certificate.peak.omega * np.linspace(0.99, 1.01, 201)
+    dense = np.union1d(np.geomspace(1e-3, np.pi, 2001)[1:-1], near.clip(2e-3, 3.14))
     wide = pose(
         MODELS[0], BUTTERWORTH, dense, 1.0,
         uncertainty=np.interp(np.log(dense), np.log(OMEGA), radius), order=1, L_max=None,
@@ -271,10 +257,10 @@ def test_between_the_samples_the_radius_is_interpolated(model):
 
 
 def test_a_worst_case_above_one_between_the_lines_warns_and_everywhere_mends_it():
-    """The model alone keeps 0.79 between 14 lines, and 0.97 at each of them with the radius."""
-    omega, Q = np.geomspace(1e-3, np.pi, 14), zero_phase_butterworth(2, 1.0, 1.0)
+    """The model alone keeps 0.64 between 12 lines, and 0.97 at each of them with the radius."""
+    omega, Q = np.geomspace(1e-3, np.pi, 12), zero_phase_butterworth(2, 1.0, 1.0)
     P = frequency_response(MODELS[0], omega)
-    asked = {"uncertainty": 0.2 * np.linalg.norm(P, 2, axis=(1, 2)), "L_max": 50.0, "order": 10}
+    asked = {"uncertainty": 0.2 * np.linalg.norm(P, 2, axis=(1, 2)), "L_max": 50.0, "order": 6}
     asked |= {"M_max": 0.97, "band": (1e-3, 0.1)}
     with pytest.warns(match="between the frequencies omega, may reach .* show too little"):
         design = synthesise(MODELS[0], Q, omega, **asked)
@@ -290,7 +276,7 @@ def test_a_worst_case_above_one_between_the_lines_warns_and_everywhere_mends_it(
 @pytest.mark.parametrize("unit", [-1e-13, 1e-13])
 def test_of_those_that_are_tied_the_first_is_named_whatever_the_rounding(unit, radius):
     """The third plant is the second but for rounding."""
-    P = [response(model) for model in (MODELS[0], MODELS[1], MODELS[1])]
+    P = [frequency_response(model, OMEGA) for model in (MODELS[0], MODELS[1], MODELS[1])]
     P[2] = P[2] * (1 + unit)
     asked = {"objective": "peak", "M_max": 0.99, "L_max": None, "uncertainty": radius}
     design, certificate, text = of_lags(P, **asked)
@@ -312,32 +298,26 @@ def test_a_plant_that_diverges_between_the_samples_is_not_said_to_converge():
     Q = zero_phase_butterworth(2, 100.0, 0.01)
     design = synthesise(lag, Q, omega, order=10, M_max=0.97, band=(0.1, 20.0), everywhere=True)
     said = set()
-    for w in np.linspace(55, 65, 11):
+    for w in np.linspace(55, 65, 6):
         mode = control.tf([0.002 * w**2], [1, 0.001 * w, w**2])
         plant = control.sample_system(control.tf([10], [1, 10]) + mode, 0.01, method="zoh")
         found = design.check(plant)
-        dense = np.unique(
-            np.append(np.linspace(0.1, 314, 20_000), np.linspace(w - 0.2, w + 0.2, 4001))
-        )
+        dense = np.union1d(np.linspace(0.1, 314, 4000), np.linspace(w - 0.2, w + 0.2, 2001))
         assert found.converges == (rate(plant, Q, design.filter, dense).gamma < 1)
         said.add(str(found).partition(":")[0])
     assert "diverges" in said
 
 
 def test_an_order_below_the_delay_of_the_plant_is_named():
-    lag = control.tf([0.1], [1, -0.9, *np.zeros(40)], 1.0)
-    Q, omega = zero_phase_butterworth(2, 0.03, 1.0), np.geomspace(1e-3, np.pi, 200)
+    late = control.tf([0.1], [1, -0.9, *np.zeros(40)], 1.0)
+    Q, omega = zero_phase_butterworth(2, 0.03, 1.0), np.geomspace(1e-3, np.pi, 110)
     with pytest.raises(InfeasibleError, match="P lags by 41 samples at the cut-off"):
-        synthesise(lag, Q, omega, order=12, M_max=0.1)
+        synthesise(late, Q, omega, order=12, M_max=0.1)
     design, chosen = (
-        synthesise(lag, Q, omega, base=None, **asked) for asked in ({"order": 12}, {})
+        synthesise(late, Q, omega, base=None, **asked) for asked in ({"order": 12}, {})
     )
     assert "order = 12 (P lags by 41 samples at the cut-off)" in str(design)
     assert "P's lag of 41 samples" in chosen.certificate.details and chosen.certificate.rate < 0.1
-
-
-def lag(gain=1.0, pole=0.9):
-    return control.ss(pole, gain * (1 - pole), 1, 0, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -345,14 +325,10 @@ def design():
     return synthesise(lag(), BUTTERWORTH, FINE, 1.0, **OF_ONE)
 
 
-def samples(P, omega=FINE):
-    return P(np.exp(1j * omega))[:, None, None]
-
-
 @pytest.mark.parametrize(("gain", "monotone"), [(1.3, True), (3.0, False)])
 def test_on_a_model_it_is_proven(design, gain, monotone):
-    P = lag(gain, 0.93)
-    result, as_array = design.check(P), design.check(samples(P))
+    P = lag(0.93, gain)
+    result, as_array = design.check(P), design.check(frequency_response(P, FINE))
     gamma, omega = peak_of_M(P, design.filter, BUTTERWORTH)
     assert result.gamma == pytest.approx(gamma, rel=1e-8) and result.proven
     assert result.at == pytest.approx(omega, rel=1e-3)
@@ -397,14 +373,15 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop, Q):
 
 def test_above_a_table_the_assumed_size_counts(design):
     own = np.geomspace(1e-3, 0.4, 60)
-    low = design.check(samples(lag(), own), own)
+    table = frequency_response(lag(), own)
+    low = design.check(table, own)
     asked = {"order": 1, "L_max": None, "objective": "peak"}
     asked["uncertainty"] = np.append(np.zeros(59), 20.0)
-    problem = pose(samples(lag(), own), BUTTERWORTH, own, **asked)
+    problem = pose(table, BUTTERWORTH, own, **asked)
     high = check(problem, design.filter).convergence
     assert low.gamma < 1 < high.gamma and high.at >= own[-1]
     assert low.converges and str(high).startswith("need not converge")
-    assert f"sigma_max(P) is {20 + np.abs(samples(lag(), own)[-1, 0, 0]):.4g} at most" in str(high)
+    assert f"sigma_max(P) is {20 + np.abs(table[-1, 0, 0]):.4g} at most" in str(high)
 
 
 def test_samples_of_Q_are_known_at_the_design_frequencies_only():

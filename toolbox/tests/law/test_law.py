@@ -10,7 +10,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_choices, paper_loop
-from plants import as_matrix
+from plants import RestartingModel, as_matrix, lag
 
 from ilctools import (
     ClosedLoop,
@@ -126,20 +126,9 @@ def test_a_design_has_its_law(loop, omega):
 
 
 def test_an_L_for_trials_of_another_length_is_refused_before_any_is_run():
-    class Axis:
-        commands = 0
-
-        def begin(self, trial):
-            pass
-
-        def read(self):
-            return [0.0]
-
-        def apply(self, w):
-            self.commands += 1
-
-    P, rig = control.ss(0.5, 0.5, 1, 0, 1.0), Axis()
+    P = lag(0.5)
+    rig = RestartingModel(P)
     law, loop = Law(Q, NormOptimal(P, 0.1, 100)), ClosedLoop(P, outputs=["x"])
     with pytest.raises(ValueError, match="100"):
         record(rig, loop, law, np.zeros(160), trials=2)
-    assert rig.commands == 0
+    assert not rig.sent

@@ -108,7 +108,7 @@ def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short()
     """Also where another thread runs it; and no child that the driver forks leaves the rig safe."""
     call = [sys.executable, "-c", HEATED, *WAYS]
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
-    folder, seen = Path(ilctools.__path__[0]).parent, []
+    folder, seen = Path(ilctools.__path__[0]).parent, dict.fromkeys(WAYS, "")
     with subprocess.Popen(call, **options, cwd=folder) as parent:
         line = parent.stdout.readline
         for way in WAYS:
@@ -116,13 +116,11 @@ def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short()
             assert line() == "1.0\n"
             os.kill(child, getattr(signal, way, signal.SIGINT))
             while not re.fullmatch(r"-?\d+\n", text := line()):
-                if text != "1.0\n":
-                    seen.append(text)
+                seen[way] += text.replace("1.0\n", "")
                 if text == "leaving\n" and way != "thread":
                     os.kill(child, signal.SIGTERM)
-            seen.append(int(text))
-    expected = [["leaving\n", "safe\n", code] for code in WAYS.values()]
-    assert seen == sum(expected, [])
+            seen[way] += text
+    assert seen == {way: f"leaving\nsafe\n{code}\n" for way, code in WAYS.items()}
 
 
 @pytest.mark.parametrize("call", [1, 2, 3, 404])

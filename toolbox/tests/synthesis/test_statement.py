@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from paper import paper_choices
-from plants import half, random_response
+from plants import half, random_response, response_of, sigma_of_M
 from problems import plant
 
 from ilctools import synthesise
@@ -30,9 +30,7 @@ def test_synthesise_finds_its_optimum(case, m, structure, objective):
     P, Q, omega, choices = case(m)
     choices |= {"structure": structure, "objective": objective}
     coefficients, value = statement(P, Q, omega, 1.0, **choices)
-    z = np.exp(1j * np.outer(omega, np.arange(1, choices["order"] + 1)))
-    L = np.einsum("ijk,nk->nij", coefficients, z)
-    sigma_M = np.linalg.norm(Q[:, None, None] * (np.eye(m) - P @ L), 2, axis=(1, 2))
+    sigma_M = sigma_of_M(omega, P, Q, response_of(coefficients, omega))
     in_band = (omega >= choices["band"][0]) & (omega <= choices["band"][1])
     reached = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
     assert reached == pytest.approx(value, rel=1e-5)
