@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import altered, tanks
+from plants import LOOPS, altered, complex_normal, tanks
 from scipy.linalg import solve_discrete_lyapunov
 
 from ilctools import (
@@ -31,7 +31,7 @@ pytestmark = [  # after an impulse, around another plant
 @pytest.fixture(scope="module")
 def on_tanks():
     """A loop with a law, and a grid."""
-    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    loop = LOOPS["tanks"]()
     Q = zero_phase_butterworth(2, 0.3, loop.Ts)
     omega = np.geomspace(1e-4, 1, 500) * np.pi / loop.Ts
     L = synthesise(loop, Q, omega, loop.Ts, order=10, band=(1e-3, 0.1)).filter
@@ -78,7 +78,7 @@ def test_what_is_learned_solves_the_lyapunov_equation(m, seed, gain):
     rng = np.random.default_rng(seed)
     omega, Q = np.linspace(0.05, 3, 6), zero_phase_butterworth(1, 1.0, 1.0)
     L = LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
-    random = rng.standard_normal((3, 6, m, m)) + 1j * rng.standard_normal((3, 6, m, m))
+    random = complex_normal(rng, 3, 6, m, m)
     change = 0.95 * random[0] / np.linalg.norm(random[0], 2, axis=(1, 2))[:, None, None]
     P = (np.eye(m) - change) @ np.linalg.inv(L.frequency_response(omega))
     x, t = random[1:] @ random[1:].conj().swapaxes(2, 3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import complex_normal
 
 from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
@@ -23,7 +24,7 @@ def test_largest_singular_values_are_those_of_a_decomposition(gain):
 def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, seed):
     """Of Q P L, at the frequency and with the phases of the outputs where it is largest."""
     rng = np.random.default_rng(seed)
-    P = unit * (rng.standard_normal((5, m, m)) + 1j * rng.standard_normal((5, m, m)))
+    P = unit * complex_normal(rng, 5, m, m)
     Q, omega = rng.uniform(0.1, 1, 5), np.linspace(0.1, 3, 5)
     W = pose(P, Q, omega, 1.0, order=1, L_max=None, band=(0.1, 3)).weight
     assert np.all(W[0] == W)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from paper import paper_choices
-from plants import LOOPS
+from plants import LOOPS, complex_normal
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.problem.pose import pose
@@ -46,7 +46,7 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius():
     loop, scale, S = LOOPS["tanks"](), [1, 2, 3], np.arange(1.0, 4.0)
     omega = np.geomspace(1e-3, np.pi, 30) / loop.Ts
     P, rng = loop.frequency_response(omega), np.random.default_rng(3)
-    error = rng.standard_normal(P.shape) + 1j * rng.standard_normal(P.shape)
+    error = complex_normal(rng, *P.shape)
     error *= 0.004 / np.linalg.norm(error, 2, axis=(1, 2))[:, None, None]
     Q = zero_phase_butterworth(2, 0.03 / loop.Ts, loop.Ts)
     choices = paper_choices(band=(omega[0], 0.02 / loop.Ts), scale=scale)

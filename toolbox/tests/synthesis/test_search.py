@@ -6,7 +6,7 @@ import control
 import cvxpy as cp
 import numpy as np
 import pytest
-from plants import furnace
+from plants import furnace, lag
 
 from ilctools import (
     InfeasibleError,
@@ -22,47 +22,45 @@ from ilctools.errors import SolverError
 from ilctools.synthesis import design as design_module
 from ilctools.synthesis import search
 
+LAG, SLOW = lag(0.5), lag()
+
 
 def test_without_Q_the_cutoff_is_where_P_ends():
     """Of a lag a tenth of what it is at rest, by its formula; L inverts no more than that."""
-    lag = control.ss(0.9, 0.1, 1, 0, 1.0)
-    design = synthesise(lag)
+    design = synthesise(SLOW)
     ends = 2 * np.arcsin(np.sqrt((1 - 0.1**2) / 0.1**2 * 0.01 / (4 * 0.9)))  # |P| = 0.1
     assert design.problem.lowpass.cutoff == pytest.approx(ends, rel=0.05)
     assert design.problem.L_max == pytest.approx(20, rel=1e-3) and design.sigma_L.max() <= 20.002
     said = repr(design)
     norm = float(re.search(r"norm of a trial of (\d+) samples (\S+)", said)[2])
     samples = int(re.search(r"norm of a trial of (\d+)", said)[1])
-    T = trial_map(lag, design.Q, design.filter, samples) @ np.eye(samples)
+    T = trial_map(SLOW, design.Q, design.filter, samples) @ np.eye(samples)
     assert norm == pytest.approx(np.linalg.norm(T, 2), rel=2e-3) and norm < 1
 
 
 def test_where_plants_differ_the_cutoff_is_lower_and_all_of_them_keep_M_max():
-    plants = [control.ss(0.9, 0.1 * g, 1, 0, 1.0) for g in (1.0, 1.3)]
+    plants = [SLOW, lag(gain=1.3)]
     late = plants[0] * control.tf([1], [1, 0, 0, 0, 0], 1.0)  # four samples
     alike, apart = (synthesise(P) for P in (plants, [plants[0], control.ss(late)]))
     assert apart.problem.lowpass.cutoff < 0.6 * alike.problem.lowpass.cutoff
-    omega = np.linspace(1e-4, np.pi, 10**5)
+    omega = np.linspace(1e-4, np.pi, 10**4)
     for design, P in ((alike, plants), (apart, [plants[0], late])):
         assert convergence(P, design.Q, design.filter, omega).gamma.max() <= 0.9
 
 
 def test_a_trial_that_grows_takes_half_the_cutoff_and_is_said(monkeypatch):
-    lag = control.ss(0.9, 0.1, 1, 0, 1.0)
-    once = synthesise(lag).problem.lowpass.cutoff
+    once = synthesise(SLOW).problem.lowpass.cutoff
     monkeypatch.setattr(design_module, "norm_of_trial", lambda _: (1.5, 70))
     with pytest.warns(match="norm of a trial of 70 samples 1.5: its ends may grow"):
-        assert synthesise(lag).problem.lowpass.cutoff == pytest.approx(once / 2, rel=0.05)
+        assert synthesise(SLOW).problem.lowpass.cutoff == pytest.approx(once / 2, rel=0.05)
 
 
 def test_a_plant_of_either_sign_leaves_nothing_to_learn():
     """B of both is zero: no cut-off is low enough, and Q passes a part of the first error."""
-    P = control.ss(0.5, 0.5, 1, 0, 1.0)
     with pytest.raises(InfeasibleError, match="most in the way"):
-        synthesise([P, -P], M_max=0.4)
+        synthesise([LAG, -LAG], M_max=0.4)
 
 
-LAG = control.ss(0.5, 0.5, 1, 0, 1.0)
 LINES = np.geomspace(0.01, 2, 40)
 RESPONSE = LAG(np.exp(1j * LINES)).reshape(1, 1, -1)
 
@@ -94,8 +92,8 @@ def test_the_least_gain_of_a_lag_is_that_of_cvxpy():
     """One filter only has the least peak; there is no band to be named, at any sampling period."""
     Ts, order = 1e-3, 3
     omega = np.geomspace(1e-3, np.pi, 100) / Ts
-    lag, Q = control.ss(0.9, 0.1, 1, 0, Ts), zero_phase_butterworth(2, 300.0, Ts)
-    design = least_gain(lag, Q, omega, Ts, order=order)
+    Q = zero_phase_butterworth(2, 300.0, Ts)
+    design = least_gain(lag(Ts=Ts), Q, omega, Ts, order=order)
     z = np.exp(1j * omega * Ts)
     L = np.power.outer(z, np.arange(1, order + 1)) @ (c := cp.Variable(order))
     M = cp.multiply(Q.frequency_response(omega), 1 - cp.multiply(0.1 / (z - 0.9), L))
@@ -122,13 +120,12 @@ def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
         raise RuntimeError("the bounds leave less room than rounding takes")
 
     monkeypatch.setattr(search, "solve_everywhere", fails)
-    lag, omega = control.ss(0.5, 0.5, 1, 0, 1.0), np.linspace(0.01, 3, 30)
+    omega = np.linspace(0.01, 3, 30)
     with pytest.raises(SolverError, match="least gain was not found"):
-        least_gain(lag, zero_phase_butterworth(2, 0.3, 1.0), omega, 1.0, order=2)
+        least_gain(LAG, zero_phase_butterworth(2, 0.3, 1.0), omega, 1.0, order=2)
 
 
 @pytest.mark.parametrize("name", ["objective", "L_max"])
 def test_what_the_least_gain_chooses_is_refused(name):
-    lag, Q = control.ss(0.5, 0.5, 1, 0, 1.0), zero_phase_butterworth(2, 0.3, 1.0)
     with pytest.raises(ValueError, match=rf"{name} = 5.0 must be left out.* synthesise"):
-        least_gain(lag, Q, **{name: 5.0})
+        least_gain(LAG, zero_phase_butterworth(2, 0.3, 1.0), **{name: 5.0})

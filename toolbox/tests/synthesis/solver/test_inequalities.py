@@ -3,6 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import complex_normal
 from problems import dense
 
 from ilctools.synthesis.solver.inequalities import Slack, is_inside, longest_step, positive_definite
@@ -12,7 +13,7 @@ from ilctools.synthesis.solver.inequalities import Slack, is_inside, longest_ste
 def test_what_a_slack_says_is_what_dense_matrices_say(q, more, seed):
     rng = np.random.default_rng(seed)
     p, n = q + more, 5
-    G, D, Z = rng.standard_normal((3, p, q, n)) + 1j * rng.standard_normal((3, p, q, n))
+    G, D, Z = complex_normal(rng, 3, p, q, n)
     b = np.linalg.norm(G, 2, axis=(0, 1)) * rng.uniform(1.1, 2, n)
     d = rng.standard_normal(n)
     diagonal, dl = b * rng.uniform(1, 2, (p, n)), rng.standard_normal((p, n))
