@@ -17,7 +17,7 @@ RECORDS = 10
 CHOSEN = "steps", "resonance, noise", "learning, 2 trials"
 CONSTANTS = {
     "SHARE": regression, "CLOSE": regression, "STEP": regression, "KNOTS": regression,
-    "WIDE": regression, "HEAVY": regression, "LATE": regression, "STEPS": regression,
+    "HEAVY": regression, "LATE": regression, "STEPS": regression,
     "INDEPENDENT": estimation, "JOINT": estimation,
 }  # fmt: skip
 
@@ -46,7 +46,7 @@ def changed(name, factor):
 
 
 def main():
-    cases = [("WIDE", 1), *((name, factor) for name in CONSTANTS for factor in (0.5, 2))]
+    cases = [("SHARE", 1), *((name, factor) for name in CONSTANTS for factor in (0.5, 2))]
     (usual, *others), rows = run(changed, cases), []
     for (name, factor), kinds in zip(cases[1:], others, strict=True):
         cells = [

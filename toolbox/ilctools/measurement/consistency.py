@@ -9,8 +9,8 @@ delta = 0. At its estimate x the score of delta and its information are, without
 and F of k columns has an F(k, n) distribution if delta = 0 and n is large (C. R. Rao, Proc.
 Cambridge Phil. Soc. 44 (1948) 50-57). One set of columns Z after the other, each passed by A:
 
-- of one trial only, or of one of four quarters of a single trial, the simulated output and its
-  slope: another gain, another delay;
+- of one trial only, or times the time in a single trial, the simulated output and its slope:
+  another gain, another delay;
 - the sign of the last move of each input, as the plant passes it on: of an input through backlash,
   u less half the gap times this sign comes out;
 - squares and cubes of the inputs, likewise, and of the simulated output: a curve, a dead zone.
@@ -37,11 +37,17 @@ from scipy.linalg import helmert, solve_triangular
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from ilctools.measurement.regression import Regression, Trials, contrasts, convolved, records
+from ilctools.measurement.regression import (
+    Regression,
+    Trials,
+    contrasts,
+    convolved,
+    records,
+    without,
+)
 
-QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
-SEEN = 0.01  # of P: what is smaller is not said
+SEEN = 0.02  # of P: what is smaller is not said
 RANK = 1e-9  # of J, relative: columns that others explain but for this are nothing
 LATER = (1, 3, 9)  # samples by which inputs are later
 # Of the first coefficient of an impulse response to their sum: what plants do not have, and what
@@ -84,22 +90,23 @@ def contradictions(
 def _sets(names, m, reference):
     """Columns of gains, and of each test."""
     parts = len(names)
-    ends = 2 * parts + m * np.cumsum([0, 1, 1, 2, len(LATER)]) + [0, 0, 0, 2, 2]
-    gains, *others = ([*range(a, b)] for a, b in pairwise(ends))
-    sets = [(name, [k, parts + k]) for k, name in enumerate(names)]
+    ends = m + 2 * parts + np.array([0, m, 3 * m + 2, (3 + len(LATER)) * m + 2])
+    others = ([*range(a, b)] for a, b in pairwise(ends))
+    sets = [(name, [m + k, m + parts + k]) for k, name in enumerate(names)]
     said = (PLAY, CURVED, FOLLOWS)[: 2 if reference else 3]
-    return gains, [*sets, *zip(said, others, strict=False)]
+    return [*range(m)], [*sets, *zip(said, others, strict=False)]
 
 
 def _score(fit, groups, added):
     """q and J, (1), and Z' W Z."""
-    power, q, across = 0.0, 0.0, 0.0
-    for Z, (X, y, line, mean) in zip(added, records(groups, fit.data.layout), strict=True):
+    power, q, across, mean = 0.0, 0.0, 0.0, fit.posterior.mean
+    gains = mean[:, None] * (fit.data.layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
+    for Z, (X, y, line, repeats) in zip(added, records(groups, fit.data.layout), strict=True):
         Z = Z[-len(y) :]
-        Z = Z - line @ (line.T @ Z)
-        weight = fit.posterior.ratio if mean else 1.0
+        Z = np.hstack([X @ gains, without(line, Z)])
+        weight = fit.posterior.ratio if repeats else 1.0
         power = power + weight * Z.T @ Z
-        q = q + weight * Z.T @ (y - X @ fit.posterior.mean)
+        q = q + weight * Z.T @ (y - X @ mean)
         across = across + weight * X.T @ Z
     known = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * across, trans=1)
     return q, power - known.T @ known, power + 1e-300
@@ -117,10 +124,8 @@ def _at_once(fit, level):
 
 
 def _parts(group):
-    """Names of the trials, or of the quarters of a single one."""
-    if len(group.y) > 1:
-        return group.names
-    return [f"the {quarter} quarter of {group.names[0]}" for quarter in QUARTERS]
+    """Names of the trials, or of the course of a single one."""
+    return group.names if len(group.y) > 1 else [f"the course of {group.names[0]}"]
 
 
 def _added(fit, groups, parts):
@@ -140,13 +145,12 @@ def _signals(fit, group):
     """Columns of one part each, (part, time, 2), and of all, (trial, time, column)."""
     K, N, m = group.u.shape
     response = fit.impulse(N) if fit.stable else np.zeros((m, N))
-    passed = np.concatenate([group.u, _last_move(group.u), group.u**2, group.u**3], axis=2)
-    passed = fftconvolve(passed, np.tile(response.T, 4)[None], axes=1)[:, :N]
-    simulated = passed[..., :m].sum(axis=2, keepdims=True)
+    bent = np.concatenate([group.u, _last_move(group.u), group.u**2, group.u**3], axis=2)
+    passed = fftconvolve(bent, np.tile(response.T, 4)[None], axes=1)[:, :N]
+    simulated, passed = passed[..., :m].sum(axis=2, keepdims=True), passed[..., m:]
     alone = np.concatenate([simulated, np.gradient(simulated, axis=1)], axis=2)
     if K == 1:
-        quarter = np.arange(N) * len(QUARTERS) // N
-        alone = alone * (quarter == np.arange(len(QUARTERS))[:, None])[..., None]
+        alone = alone * np.linspace(-1, 1, N)[:, None]
     passed = np.concatenate([passed, simulated**2, simulated**3], axis=2)
     alone, passed = (convolved(z - z[:, :1], fit.denominator) for z in (alone, passed))
     later = [group.u[:, np.minimum(np.arange(k, N + k), N - 1)] for k in LATER]

@@ -41,7 +41,7 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import Regression, regression
+from ilctools.measurement.regression import Regression, regression, without
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
@@ -52,8 +52,6 @@ FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes 
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 SMALL = 1e-8  # least E |dA / A|^2, below which t is x
 UNSTABLE = 0.05  # probability of a zero of A outside, from which it is said
-PAST = 200  # samples of inputs before a record, of which its start is the response
-REPEATED = 3  # times, ridge regressions of a start
 NAMED = 5  # contradictions, or intervals of frequencies, at most that are said
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
@@ -218,20 +216,18 @@ class EstimatedResponse(Measured):
         return Agreement(self._fit(other.record), bool(likely[worst] > 1), float(by))
 
     def _fit(self, record):
-        """Of the simulation of a record of one log, whose start inputs before it have left."""
+        """Of the simulation of a record of one log."""
         (group,), (sizes, units), m = record.groups, record.sizes, len(record.inputs)
         u, y = group.u[..., :m] * sizes, group.y * units
         n = y.shape[1]
-        g = self._impulse(n + PAST)
-        U, G = np.fft.rfft(u, 2 * n, axis=1), np.fft.rfft(g[..., :n], 2 * n)
+        U, G = np.fft.rfft(u, 2 * n, axis=1), np.fft.rfft(self._impulse(n), 2 * n)
         simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), 2 * n, axis=1)[:, :n]
-        line = np.linalg.qr(np.stack([np.ones(n), np.arange(n)], axis=1))[0]
-        lags = 1 + np.add.outer(np.arange(n), np.arange(PAST - 1))
-        left = (g * sizes[:, None])[:, :, lags].transpose(0, 2, 1, 3).reshape(len(g), n, -1)
-        off, moved, left = (x - line @ (line.T @ x) for x in (y - simulated, y, left))
-        power = np.square(moved).mean(axis=(0, 1))
-        rest = _without(off, left, power)
-        return 1 - np.sqrt(np.square(rest).mean(axis=(0, 1)) / power)
+        line = np.stack([np.ones(n), np.arange(n)], axis=1)
+        start = self.fits[0].data.layout.start[:n]  # what inputs before the record leave
+        start = np.pad(start, ((0, n - len(start)), (0, 0)))
+        moved = without(np.linalg.qr(line)[0], y)
+        error = without(np.linalg.qr(np.hstack([line, start]))[0], y - simulated)
+        return 1 - np.sqrt(np.mean(error**2, axis=(0, 1)) / np.mean(moved**2, axis=(0, 1)))
 
     def _basis(self, omega, confidence):
         lines = [
@@ -259,22 +255,6 @@ class EstimatedResponse(Measured):
         radius = self.radius()[self.known]
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
         return f"{super().__repr__()}\n{within}"
-
-
-def _without(off, left, power):
-    """Errors (trial, time, output) without what inputs before a record have left.
-
-    By ridge regression: these are as large as those in it, and the noise is as large as the errors
-    that it leaves, which is repeated.
-    """
-    rest = off
-    for _ in range(REPEATED):
-        noise = np.maximum(np.square(rest).mean(axis=(0, 1)), 1e-9 * power)
-        weighted = left / noise[:, None, None]
-        gram = np.einsum("ita,itb->ab", weighted, left, optimize=True) + np.eye(left.shape[2])
-        past = np.linalg.solve(gram, np.einsum("ita,kti->ak", weighted, off, optimize=True))
-        rest = off - np.einsum("ita,ak->kti", left, past, optimize=True)
-    return rest
 
 
 @on_one_thread

@@ -69,8 +69,8 @@ def measured_response(
     UserWarning
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
         drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
-        trials, or quarters of one, that contradict one linear plant; an output that may not settle;
-        a table without a radius that scatters from line to line.
+        trials, or the course of one, that contradict one linear plant; an output that may not
+        settle; a table without a radius that scatters from line to line.
 
     See Also
     --------

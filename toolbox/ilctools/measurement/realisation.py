@@ -10,7 +10,6 @@ In B and D the response is linear: least squares, each frequency by its radius.
 
 import control
 import numpy as np
-from scipy.linalg import block_diag
 
 from ilctools.singular_values import largest_singular_values
 
@@ -67,10 +66,6 @@ def _delayed(A, B, C, D, delay):
     name = f"P of order {len(A)} behind {', '.join(map(str, delay))} samples"
     core = control.ss(A, B, C, D, True)
     if delay.any():
-        shifts = [np.eye(d, k=-1) for d in delay]
-        enters, leaves = (
-            block_diag(*[np.eye(d, 1, end * (1 - d)) for d in delay]) for end in (0, 1)
-        )
-        through = np.diag(1.0 * (delay == 0))
-        core = core * control.ss(block_diag(*shifts), enters, leaves.T, through, True)
+        shifts = [control.ss(control.tf([1], np.eye(1, d + 1)[0], True)) for d in delay]
+        core = core * control.append(*shifts)
     return control.ss(core, name=name)

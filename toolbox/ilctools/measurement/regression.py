@@ -2,10 +2,11 @@
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-with A monic, B and A of as many lags as a quarter of the longest record, or as half or all of it
-where the posterior is clearly larger, and e white with variance s^2: P = B / A. A start, which is
-not known, leaves a response as long; the line is an offset and a slope of each record, the drift a
-random walk.
+with A monic, B and A of as many lags as a quarter of the longest record, and e white with variance
+s^2: P = B / A. A start, which is not known, leaves a response as long; the line is an offset and a
+slope of each record, the drift a random walk. Beside its lags each B has slow parts
+x (1 - p) / (z - p) with time constants of the longest record and a third of it: what is small and
+far slower than the rest would else be taken for drift, and its error not be seen.
 
 *Prior.* Coefficients decay and neighbours are alike, by the tuned-correlated kernel
 s^2 c exp(-max(i, j) / T), with one c for A, one for B, one for starts and one for drifts, and one T
@@ -14,9 +15,11 @@ Automatica 50 (2014) 657-682). In increments x from lag to lag it is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-with the logarithms of c and T in eta. Far lags share increments: knots, between which coefficients
-are on straight lines. Lags of B are counted from a delay of each input, where the one that
-correlations show raises the posterior.
+and of a slow part D = c, with the logarithms of c and T in eta. Far lags share increments: knots,
+between which coefficients are on straight lines. Lags of B are counted from a delay of each input,
+where the posterior is larger for it: a little less than the lag of largest correlation of the
+signals, or of their moves, in whose spectrum phases count more than sizes (C. H. Knapp and G. C.
+Carter, IEEE Trans. Acoust. Speech Signal Process. 24 (1976) 320-327).
 
 *Posterior.* With the regressors X of (1), without offset and slope,
 
@@ -24,13 +27,14 @@ correlations show raises the posterior.
     s^2 = (y' y - h' h) / n.
 
 Over trials, a disturbance that repeats shows in their mean only, which has a weight of 1 / (1 +
-exp(rho)), the last entry of eta.
+exp(rho)), the sixth entry of eta.
 
 *Hyperparameters.* The maximum of the marginal likelihood times a wide normal prior,
 
     n / 2 log(y' y - h' h) + log |U| + |(eta - centre) / wide|^2 / 2 -> min.                     (4)
 
-They are normal about it with the inverse of the curvature S S', and integrated over by the points
+It may have two maxima, with a drift and without one: the search starts near both. They are normal
+about the larger with the inverse of the curvature S S', and integrated over by the points
 eta + HEAVY sqrt(d) S_k, eta - HEAVY sqrt(d) S_k, d the number of entries (I. Arasaratnam and S.
 Haykin, IEEE Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one).
 
@@ -50,28 +54,31 @@ from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
-from scipy.signal import fftconvolve
+from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit, log_expit
 
 from ilctools.errors import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
-LONGER, CLEARLY = (2, 1), 3.0  # shares that are tried, and by how much (4) must then be less
-REPEATS = 0.5  # weight of a mean over trials, below which a disturbance repeats
+SLOW = np.array([1.0, 3.0])  # longest records in time constants of slow parts
 # Knots are one lag apart up to CLOSE, then 1 + (lag - CLOSE) // STEP.
 CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
-# Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, and rho.
-CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0])
-WIDE = 3.0  # their standard deviations
-SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # those relative to the output, not to the noise
-FIRST = CENTRE + 6 * SIZES  # of eta, from which the search starts
+# Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, rho, and of
+# log(c s^2) of slow parts: a twentieth of the output's size, as their motion, like drift's, says no
+# other.
+CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0, -5.8])
+WIDE = np.array([3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 0.5])  # their standard deviations
+SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0])  # relative to the output, not to the noise
+DRIFTING = np.array([0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0])
+FIRST = CENTRE + 6 * SIZES, CENTRE + 6 * SIZES + DRIFTING  # of eta, from which the search starts
 BOUND = 50.0  # of all logarithms
 EXACT = 1e-14  # least noise, in the power of the output
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
-ROOM = (0.6, 0.9)  # delays that are tried, relative to that lag
+ROOM = 0.9, 0.98  # delays that are tried, relative to that lag of the signals and of their moves
+PHASES = 0.8  # power of the sizes that is taken out of a spectrum: of 1, only phases would count
 STEPS = 1e-3  # of eta, for the curvature
 HEAVY = 1.2  # tails of eta, relative to normal ones
 POLISH = 4  # Newton steps with it, after which eta is known to rounding
@@ -98,9 +105,14 @@ class _Layout:
     gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
     knots: np.ndarray  # of A
     moved: tuple[np.ndarray, ...]  # of each B
+    poles: np.ndarray  # of its slow parts
     start: np.ndarray  # (time, k)
     starts: int  # records with an unknown start
-    skipped: int  # samples at the beginning of each
+
+    @property
+    def skipped(self) -> int:
+        """Samples at the beginning of each record that are left out, where starts are too many."""
+        return 0 if self.starts else len(self.start) - 1
 
     def prior(self, eta) -> tuple[np.ndarray, np.ndarray]:
         """Logarithms of D, (2), and their slope over log T."""
@@ -138,28 +150,29 @@ def _lagged(signal, knots):
     return np.stack(columns, axis=1)
 
 
-def _layout(groups, direct, delays, share):
+def _layout(groups, direct, delays):
     longest = max(group.y.shape[1] for group in groups)
-    m, least, reach = len(delays), *(max(4, longest // part) for part in (SHARE, share))
+    m, reach, poles = len(delays), max(4, longest // SHARE), np.exp(-SLOW / longest)
     past, moves = (_knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1))
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
-    starts = records if records * len(_knots(0, least, *START)) <= STARTS else 0
-    blocks = [past, *[moves] * m, *[start] * starts, *[np.zeros(KNOTS)] * len(groups)]
-    kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups)]
-    gaps = [np.append(np.diff(block), np.inf) for block in blocks[: 1 + m + starts]]
-    gaps += [np.full(KNOTS, np.inf)] * len(groups)
-    kind = np.repeat(kinds, [len(block) for block in blocks])
+    starts = records if records * len(start) <= STARTS else 0
+    lags = [past, *[moves] * m, *[start] * starts]
+    steps = [np.zeros(KNOTS)] * len(groups) + [0 * poles] * m
+    gaps = [np.append(np.diff(knots), np.inf) for knots in lags]
+    sizes = [len(block) for block in lags + steps]
+    kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups), *range(1, m + 1)]
+    entries = [0, *[1] * m, *[2] * starts, *[3] * len(groups), *[6] * m]
     return _Layout(
-        kind=kind,
-        c=np.array([0, *[1] * m, 2, 3])[kind],
-        lag=np.concatenate([block - block[0] for block in blocks]),
-        gap=np.concatenate(gaps),
+        kind=np.repeat(kinds, sizes),
+        c=np.repeat(entries, sizes),
+        lag=np.concatenate([knots - knots[0] for knots in lags] + steps),
+        gap=np.concatenate(gaps + [np.inf + block for block in steps]),
         knots=past,
         moved=tuple(moves + delay for delay in delays),
         start=increments(start),
         starts=starts,
-        skipped=0 if starts else reach,
+        poles=poles,
     )
 
 
@@ -187,9 +200,11 @@ def records(groups, layout) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray
             if k == 0:
                 drifts[:, g] = ramps
             X = [-_lagged(y, layout.knots), *map(_lagged, u.T, layout.moved)]  # (1)
-            X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1)])
+            slow = [lfilter([0, 1 - p], [1, -p], u, axis=0) for p in layout.poles]
+            slow = np.stack(slow, axis=2).reshape(N, -1)
+            X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1), slow])
             number += 1
-            X, y = (_without(line, signal[layout.skipped :]) for signal in (X, y))
+            X, y = (without(line, signal[layout.skipped :]) for signal in (X, y))
             yield X, y, line, k == 0 and len(outputs) > 1
 
 
@@ -198,8 +213,9 @@ def convolved(signals: np.ndarray, lags: np.ndarray) -> np.ndarray:
     return fftconvolve(signals, lags[None, :, None], axes=1)[:, : signals.shape[1]]
 
 
-def _without(line, signal):
-    return signal - line @ (line.T @ signal)
+def without(basis: np.ndarray, signals: np.ndarray) -> np.ndarray:
+    """Signals (..., time, column) without what an orthonormal basis (time, k) explains."""
+    return signals - basis @ (basis.T @ signals)
 
 
 class _Normal(NamedTuple):
@@ -238,7 +254,7 @@ def _normal(groups, layout, gain):
         count[k] += len(y) - 2
     for j, known in enumerate(() if gain is None else gain):  # B_j(1) = gain A(1)
         row = np.zeros(p)
-        row[layout.kind == 1 + j] = increments(layout.moved[j]).sum(axis=0)
+        row[layout.kind == 1 + j] = [*increments(layout.moved[j]).sum(axis=0), *layout.poles**0]
         row[layout.kind == 0] = -known * increments(layout.knots).sum(axis=0)
         R[0] += SURE * np.outer(row, row)
         b[0] += SURE * known * row
@@ -275,15 +291,15 @@ def surprise(eta: np.ndarray, data: _Normal) -> tuple[float, np.ndarray]:
     x = solve_triangular(U, h, check_finite=False)
     inverse = dpotri(U)[0]
     # over log variances, which change log(rest) by -x^2 / rest
-    each = (1 - np.diag(inverse) - (count + 2 * (SIZES @ off) / WIDE) * x**2 / rest) / 2
-    gradient = np.append(np.bincount(layout.c, each, 4), [each @ layout.prior(eta)[1], 0.0])
-    gradient += off / WIDE
+    moved = count + 2 * SIZES @ (off / WIDE)
+    each = (1 - np.diag(inverse) - moved * x**2 / rest) / 2
+    gradient = np.bincount(layout.c, each, len(eta)) + off / WIDE
+    gradient[4] += each @ layout.prior(eta)[1]
     if data.count[1]:
         mean, R = size * x, data.R[1]
         left = data.s[1] - 2 * mean @ data.b[1] + mean @ R @ mean
         inverse += np.triu(inverse, 1).T
         trace = np.sum(inverse * (size[:, None] * R * size))
-        moved = count + 2 * (SIZES @ off) / WIDE
         by_ratio = ratio * (moved * left / rest + trace) - data.count[1]
         gradient[5] -= (1 - ratio) / 2 * by_ratio
     return value, gradient
@@ -297,14 +313,19 @@ class _Fit(NamedTuple):
     data: _Normal
 
 
-def _fitted(groups, direct, delays, gain, first=FIRST, share=SHARE):
+def _fitted(groups, direct, delays, gain, first=FIRST):
     longest = max(group.y.shape[1] for group in groups)
-    data = _normal(groups, _layout(groups, direct, delays, share), gain)
-    bounds = [(-BOUND, BOUND)] * 4 + [(-1.5, np.log(5 * longest)), (-BOUND, BOUND)]
-    found = minimize(
-        surprise, first, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
-        options={"maxiter": 60, "ftol": 1e-7},
-    )  # fmt: skip
+    data = _normal(groups, _layout(groups, direct, delays), gain)
+    bounds = [(-BOUND, BOUND)] * len(CENTRE)
+    bounds[4] = -1.5, np.log(5 * longest)
+    searches = [
+        minimize(
+            surprise, eta, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
+            options={"maxiter": 60, "ftol": 1e-7},
+        )
+        for eta in first
+    ]  # fmt: skip
+    found = min(searches, key=lambda search: search.fun)
     return _Fit(found.x, found.fun, data)
 
 
@@ -314,7 +335,7 @@ def _polished(fit):
     steps = STEPS * np.eye(len(eta))
     H = np.array([surprise(eta + e, data)[1] - surprise(eta - e, data)[1] for e in steps])
     values, vectors = np.linalg.eigh((H + H.T) / (4 * STEPS))
-    S = vectors / np.sqrt(np.maximum(values, WIDE**-2)) @ vectors.T  # symmetric: no signs
+    S = vectors / np.sqrt(np.maximum(values, WIDE.max() ** -2)) @ vectors.T  # symmetric: no signs
     for _ in range(POLISH):
         step = S @ S @ surprise(eta, data)[1]
         eta -= np.clip(step, -1, 1)
@@ -342,7 +363,10 @@ class Regression:
     def _waves(self, omega):
         """What increments make of A, then of each B, at angles omega Ts, (n, knot) each."""
         of_lag = np.exp(-1j * np.outer(omega, np.arange(1 + max(k[-1] for k in self.knots))))
-        return [of_lag[:, : knots[-1] + 1] @ increments(knots) for knots in self.knots]
+        A, *B = (of_lag[:, : knots[-1] + 1] @ increments(knots) for knots in self.knots)
+        poles = self.data.layout.poles
+        slow = (1 - poles) / (np.exp(1j * omega)[:, None] - poles)
+        return [A, *(np.hstack([wave, slow]) for wave in B)]
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """P at angles omega Ts, shape (n, m)."""
@@ -384,10 +408,12 @@ class Regression:
 
     def impulse(self, n: int) -> np.ndarray:
         """Impulse response of the estimate over n samples, shape (m, n)."""
-        B = np.zeros((len(self.data.layout.moved), n))
+        B, poles = np.zeros((len(self.data.layout.moved), n)), self.data.layout.poles
         for j, knots in enumerate(self.data.layout.moved):
-            lags = (increments(knots) @ self.of(1 + j, self.mean))[:n]
+            x, slow = np.split(self.of(1 + j, self.mean), [len(knots)])
+            lags = (increments(knots) @ x)[:n]
             B[j, : len(lags)] = lags
+            B[j, 1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
         g, a = np.ones(1), self.denominator
         while len(g) < n:  # Newton's steps to 1 / A, of which each doubles the samples
             wide = 2 * len(g)
@@ -398,26 +424,15 @@ class Regression:
 def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
     """Of one output; `direct`: whether y(t) may depend on u(t); `gain`, (m,): P at rest, if known.
 
-    If an input is late, also with delays of 0.6 and then 0.9 of the lags of largest correlation, as
-    long as the posterior grows; and with more lags.
+    If correlations show a delay, also with it, from the prior and from what is estimated without.
     """
     delays = np.zeros(groups[0].u.shape[2], int)
     best = _fitted(groups, direct, delays, gain)
-    peaks = _peaks(groups, best)
-    for room in ROOM if peaks.max() >= LATE else ():
-        late = (room * peaks).astype(int)
-        others = [_fitted(groups, direct, late, gain, first) for first in (FIRST, best.eta)]
-        other = min(others, key=lambda fit: fit.surprise)
-        if other.surprise > best.surprise:
-            break
-        best, delays = other, late
-    # not where other samples are then left out, or more lags explain a disturbance that repeats
-    alone = best.data.layout.starts and _posterior(best.eta, best.data).ratio > REPEATS
-    for share in LONGER if alone else ():
-        other = _fitted(groups, direct, delays, gain, best.eta, share)
-        if other.surprise > best.surprise - CLEARLY:
-            break
-        best = other
+    for differences, room in enumerate(ROOM):
+        peaks = _peaks(groups, differences)
+        if peaks.max() >= LATE:
+            late = _fitted(groups, direct, (room * peaks).astype(int), gain, (*FIRST, best.eta))
+            best = min(best, late, key=lambda fit: fit.surprise)
     best, S = _polished(best)
     farther = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])
     points = np.clip(best.eta + farther, -BOUND, BOUND)
@@ -429,15 +444,13 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
     return Regression(at.mean, best.data, at, C)
 
 
-def _peaks(groups, fit):
-    """Lags of largest correlation of each input with the output, both filtered by A, (m,)."""
-    layout = fit.data.layout
-    x = _posterior(fit.eta, fit.data).mean[layout.kind == 0]
-    a = np.append(1.0, (increments(layout.knots) @ x)[1:])
-    longest, total = max(group.y.shape[1] for group in groups), 0.0
+def _peaks(groups, differences):
+    """Lags of largest correlation of each input, or of its moves, with the output, (m,)."""
+    longest, products = max(group.y.shape[1] for group in groups), 0.0
     for group in groups:
         signals = contrasts(np.concatenate([group.u, group.y], axis=2))
-        spectra = np.fft.rfft(convolved(signals, a), 2 * longest, axis=1)
-        products = np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
-        total = total + np.fft.irfft(products, axis=0)[: longest // 2]
-    return np.argmax(np.abs(total), axis=0)
+        signals = np.diff(signals - signals.mean(axis=1, keepdims=True), differences, axis=1)
+        spectra = np.fft.rfft(signals, 2 * longest, axis=1)
+        products = products + np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
+    phases = products / np.maximum(np.abs(products), 1e-300) ** PHASES
+    return np.argmax(np.abs(np.fft.irfft(phases, axis=0))[: longest // 2], axis=0)

@@ -35,10 +35,10 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     q, J, power = module._score(fit, groups, module._added(fit, groups, 3))
     rows = list(records(groups, layout))
     X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
-    Z = []
-    for added, (_, output, line, _) in zip(module._added(fit, groups, 3), rows, strict=True):
+    Z, gain = [], fit.mean[:, None] * (layout.kind == 1)[:, None]
+    for added, (x, output, line, _) in zip(module._added(fit, groups, 3), rows, strict=True):
         cut = added[-len(output) :]
-        Z.append(cut - line @ (line.T @ cut))
+        Z.append(np.hstack([x @ gain, cut - line @ (line.T @ cut)]))
     Z = np.concatenate(Z)
     means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
     V = np.diag(1 / np.where(means, post.ratio, 1.0)) + X * post.size**2 @ X.T
