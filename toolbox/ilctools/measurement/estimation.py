@@ -233,9 +233,9 @@ class EstimatedResponse(Measured):
         lines = [
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
-            "assumed: the plant is linear, stays as it is, has no small part that is much slower "
-            "than the rest, and A(z) y = B(z) u describes it with "
-            f"{self.fits[0].data.layout.knots[-1]} lags, those of B after a delay",
+            "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
+            f"{self.fits[0].data.layout.knots[-1]} lags, those of B after a delay and beside two "
+            "slow parts",
         ]
         if not self.known.all():
             lines.append(

@@ -67,9 +67,9 @@ START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
 # Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, rho, and of
-# log(c s^2) of slow parts: a twentieth of the output's size, as their motion, like drift's, says no
+# log(c s^2) of slow parts: a thirtieth of the output's size, as their motion, like drift's, says no
 # other.
-CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0, -5.8])
+CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0, -6.9])
 WIDE = np.array([3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 0.5])  # their standard deviations
 SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0])  # relative to the output, not to the noise
 DRIFTING = np.array([0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0])
@@ -428,10 +428,12 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
     """
     delays = np.zeros(groups[0].u.shape[2], int)
     best = _fitted(groups, direct, delays, gain)
+    rare = np.log(max(group.y.shape[1] for group in groups))  # any delay is as likely as another
     for differences, room in enumerate(ROOM):
         peaks = _peaks(groups, differences)
         if peaks.max() >= LATE:
             late = _fitted(groups, direct, (room * peaks).astype(int), gain, (*FIRST, best.eta))
+            late = late._replace(surprise=late.surprise + rare)
             best = min(best, late, key=lambda fit: fit.surprise)
     best, S = _polished(best)
     farther = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])
