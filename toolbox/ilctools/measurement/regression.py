@@ -72,8 +72,8 @@ KNOTS = 64  # of a drift, between which it is straight
 CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0, -6.9])
 WIDE = np.array([3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 0.5])  # their standard deviations
 SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0])  # relative to the output, not to the noise
-DRIFTING = np.array([0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 0.0])
-FIRST = CENTRE + 6 * SIZES, CENTRE + 6 * SIZES + DRIFTING  # of eta, from which the search starts
+DRIFTS = 0.0, 9.0  # log c of drifts above its centre, where the search starts
+FIRST = [CENTRE + 6 * SIZES + drift * (np.arange(7) == 3) for drift in DRIFTS]
 BOUND = 50.0  # of all logarithms
 EXACT = 1e-14  # least noise, in the power of the output
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
