@@ -117,7 +117,7 @@ def test_constants_are_halved_doubled_and_put_back(monkeypatch):
     """JOINT is a factor of the radius."""
     monkeypatch.setattr(constants, "RECORDS", 1)
     monkeypatch.setattr(constants, "CHOSEN", ("steps",))
-    ((radius, off),), ((wide, less),) = constants.changed("WIDE", 1), constants.changed("JOINT", 2)
+    ((radius, off),), ((wide, less),) = constants.changed("CLOSE", 1), constants.changed("JOINT", 2)
     np.testing.assert_allclose([wide, less], [2 * radius, off / 2])
     assert constants.estimation.JOINT == 1.3
     assert all(hasattr(module, name) for name, module in constants.CONSTANTS.items())
@@ -139,7 +139,8 @@ def test_a_heater_board_is_known_from_long_moves_around_the_working_point(monkey
     with monkeypatch.context() as fewer:
         fewer.setattr(boards, "DRAWN", 3)
         left, least, direct, unknown = boards.moved("by the minute, 36 min", 1, *given)
-    assert left < 0.2 and least < direct < 1 and not unknown
+    assert left < 0.2 and least < 1 and not unknown
+    assert direct == 1  # without a model 36 minutes promise nothing
     bent, none, *_ = boards.moved("those of log B, 10 min", 1, *given)
     assert bent > 5 * left and none > 1
     radius, best = boards.shaken(1.5, 1, z, noise, fits[1].values)
