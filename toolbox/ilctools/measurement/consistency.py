@@ -114,13 +114,20 @@ def _score(fit, groups, added):
 
 def _at_once(fit, level):
     """Whether y answers an input at once, as by -1 / C."""
-    inputs = fit.data.layout.kind[:, None] == 1 + np.arange(len(fit.data.layout.moved))
-    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * inputs, trans=1)
-    g, n = fit.impulse(2 * fit.data.layout.knots[-1]), fit.data.count.sum()
-    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rest
-    share = g[:, 0] / g.sum(axis=1)
+    (share, explained), n = _first(fit), fit.data.count.sum()
     odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > EXACT)
     return np.any(odd & (fdtrc(1, n, n * explained) < level))
+
+
+def _first(fit):
+    """First coefficient of each impulse response: relative to their sum, and what it explains."""
+    layout = fit.data.layout
+    lags = (layout.c == 1)[:, None]  # slow parts answer later
+    inputs = lags & (layout.kind[:, None] == 1 + np.arange(len(layout.moved)))
+    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * inputs, trans=1)
+    g = fit.impulse(2 * layout.knots[-1])
+    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rest
+    return g[:, 0] / g.sum(axis=1), explained
 
 
 def _parts(group):

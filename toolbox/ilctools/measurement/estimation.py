@@ -100,11 +100,6 @@ class EstimatedResponse(Measured):
         """Of inputs and outputs."""
         return self.record.inputs, self.record.outputs
 
-    @property
-    def of(self) -> str:
-        """The input: "w" or "u"."""
-        return self.record.source
-
     @cached_property
     def response(self) -> np.ndarray:
         """The estimate at `omega`, shape (n, outputs, inputs), complex."""
@@ -206,28 +201,30 @@ class EstimatedResponse(Measured):
         Agreement
             With ``fit``, ``contradicts`` and ``by``.
         """
-        other = estimated_response([log], self.of)
+        other = estimated_response([log], self.record.source)
         check_match(P=self.loop, log=other.loop)
         P, radius = self.on(other.omega, CONFIDENCE)
         apart = largest_singular_values(P - other.response)
         likely = apart / np.hypot(radius, other.radius(CONFIDENCE, jointly=True))
         worst = np.argmax(likely)
         by = apart[worst] / largest_singular_values(P)[worst] if likely[worst] > 1 else 0.0
-        return Agreement(self._fit(other.record), bool(likely[worst] > 1), float(by))
+        return Agreement(self._fit(other), bool(likely[worst] > 1), float(by))
 
-    def _fit(self, record):
-        """Of the simulation of a record of one log."""
-        (group,), (sizes, units), m = record.groups, record.sizes, len(record.inputs)
+    def _fit(self, other):
+        """Of the simulation of the record of one log, of which another estimate was made."""
+        (group,), (sizes, units) = other.record.groups, other.record.sizes
+        m, start = len(sizes), other.fits[0].data.layout.start  # what earlier inputs leave
         u, y = group.u[..., :m] * sizes, group.y * units
         n = y.shape[1]
         U, G = np.fft.rfft(u, 2 * n, axis=1), np.fft.rfft(self._impulse(n), 2 * n)
         simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), 2 * n, axis=1)[:, :n]
         line = np.stack([np.ones(n), np.arange(n)], axis=1)
-        start = self.fits[0].data.layout.start[:n]  # what inputs before the record leave
         start = np.pad(start, ((0, n - len(start)), (0, 0)))
-        moved = without(np.linalg.qr(line)[0], y)
-        error = without(np.linalg.qr(np.hstack([line, start]))[0], y - simulated)
-        return 1 - np.sqrt(np.mean(error**2, axis=(0, 1)) / np.mean(moved**2, axis=(0, 1)))
+        left = []
+        for columns, signal in ((line, y), (np.hstack([line, start]), y - simulated)):
+            basis = np.linalg.qr(columns)[0]
+            left.append(np.sum(without(basis, signal) ** 2, axis=(0, 1)) / (n - basis.shape[1]))
+        return 1 - np.sqrt(left[1] / left[0])
 
     def _basis(self, omega, confidence):
         lines = [

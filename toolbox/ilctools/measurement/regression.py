@@ -157,17 +157,17 @@ def _layout(groups, direct, delays):
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
     starts = records if records * len(start) <= STARTS else 0
-    lags = [past, *[moves] * m, *[start] * starts]
-    steps = [np.zeros(KNOTS)] * len(groups) + [0 * poles] * m
-    gaps = [np.append(np.diff(knots), np.inf) for knots in lags]
-    sizes = [len(block) for block in lags + steps]
+    blocks = [past, *[moves] * m, *[start] * starts]
+    blocks += [np.zeros(KNOTS)] * len(groups) + [0 * poles] * m
+    sizes = [len(block) for block in blocks]
     kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups), *range(1, m + 1)]
-    entries = [0, *[1] * m, *[2] * starts, *[3] * len(groups), *[6] * m]
+    c = np.repeat([0, *[1] * m, *[2] * starts, *[3] * len(groups), *[6] * m], sizes)
+    gap = np.concatenate([np.append(np.diff(block), np.inf) for block in blocks])
     return _Layout(
         kind=np.repeat(kinds, sizes),
-        c=np.repeat(entries, sizes),
-        lag=np.concatenate([knots - knots[0] for knots in lags] + steps),
-        gap=np.concatenate(gaps + [np.inf + block for block in steps]),
+        c=c,
+        lag=np.concatenate([block - block[0] for block in blocks]),
+        gap=np.where(np.isin(c, (3, 6)), np.inf, gap),  # of drifts and slow parts D = c
         knots=past,
         moved=tuple(moves + delay for delay in delays),
         start=increments(start),
@@ -183,29 +183,29 @@ def contrasts(signal: np.ndarray) -> np.ndarray:
 
 def records(groups, layout) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
     """Regressors (time, unknown), output (time,), offset and slope, and whether it is a mean."""
-    number = 0
-    for g, group in enumerate(groups):
-        inputs, outputs = contrasts(group.u), contrasts(group.y[..., 0])
-        N = outputs.shape[1]
+    number, m = 0, len(layout.moved)
+    past, *inputs, starts, drifts = (np.flatnonzero(layout.kind == k) for k in range(m + 3))
+    for group, drift in zip(groups, drifts.reshape(len(groups), -1), strict=True):
+        u_of, y_of = contrasts(group.u), contrasts(group.y[..., 0])
+        N = y_of.shape[1]
         line = np.stack([np.ones(N), np.linspace(-1, 1, N)], axis=1)[layout.skipped :]
         line = np.linalg.qr(line)[0]
         ends = np.linspace(0, N - 1, KNOTS + 1)
         ramps = np.clip((np.arange(N)[:, None] - ends[:-1]) / np.diff(ends), 0, 1)
-        for k, (u, y) in enumerate(zip(inputs, outputs, strict=True)):
-            starts = np.zeros((N, layout.starts, layout.start.shape[1]))
+        for k, (u, y) in enumerate(zip(u_of, y_of, strict=True)):
+            X = np.zeros((N, len(layout.kind)))  # (1)
+            X[:, past] = -_lagged(y, layout.knots)
+            for columns, x, knots in zip(inputs, u.T, layout.moved, strict=True):
+                slow = [lfilter([0, 1 - p], [1, -p], x) for p in layout.poles]
+                X[:, columns] = np.column_stack([_lagged(x, knots), *slow])
             if layout.starts:
-                known = layout.start[:N]
-                starts[: len(known), number] = known
-            drifts = np.zeros((N, len(groups), KNOTS))
+                own = starts.reshape(layout.starts, -1)[number]
+                X[: len(layout.start), own] = layout.start[:N]
             if k == 0:
-                drifts[:, g] = ramps
-            X = [-_lagged(y, layout.knots), *map(_lagged, u.T, layout.moved)]  # (1)
-            slow = [lfilter([0, 1 - p], [1, -p], u, axis=0) for p in layout.poles]
-            slow = np.stack(slow, axis=2).reshape(N, -1)
-            X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1), slow])
+                X[:, drift] = ramps
             number += 1
             X, y = (without(line, signal[layout.skipped :]) for signal in (X, y))
-            yield X, y, line, k == 0 and len(outputs) > 1
+            yield X, y, line, k == 0 and len(y_of) > 1
 
 
 def convolved(signals: np.ndarray, lags: np.ndarray) -> np.ndarray:
@@ -326,7 +326,8 @@ def _fitted(groups, direct, delays, gain, first=FIRST):
         for eta in first
     ]  # fmt: skip
     found = min(searches, key=lambda search: search.fun)
-    return _Fit(found.x, found.fun, data)
+    rare = np.log(longest) * any(delays)  # before the data, any delay is as likely as another
+    return _Fit(found.x, found.fun + rare, data)
 
 
 def _polished(fit):
@@ -414,11 +415,7 @@ class Regression:
             lags = (increments(knots) @ x)[:n]
             B[j, : len(lags)] = lags
             B[j, 1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
-        g, a = np.ones(1), self.denominator
-        while len(g) < n:  # Newton's steps to 1 / A, of which each doubles the samples
-            wide = 2 * len(g)
-            g = np.pad(2 * g, (0, len(g))) - fftconvolve(fftconvolve(g, g), a[:wide])[:wide]
-        return fftconvolve(B, g[None], axes=1)[:, :n]
+        return lfilter([1.0], self.denominator, B, axis=1)
 
 
 def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
@@ -426,14 +423,11 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
 
     If correlations show a delay, also with it, from the prior and from what is estimated without.
     """
-    delays = np.zeros(groups[0].u.shape[2], int)
-    best = _fitted(groups, direct, delays, gain)
-    rare = np.log(max(group.y.shape[1] for group in groups))  # any delay is as likely as another
+    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int), gain)
     for differences, room in enumerate(ROOM):
         peaks = _peaks(groups, differences)
         if peaks.max() >= LATE:
             late = _fitted(groups, direct, (room * peaks).astype(int), gain, (*FIRST, best.eta))
-            late = late._replace(surprise=late.surprise + rare)
             best = min(best, late, key=lambda fit: fit.surprise)
     best, S = _polished(best)
     farther = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from ilctools.measurement import consistency as module
 from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
-from ilctools.measurement.regression import Trials, records, regression
+from ilctools.measurement.regression import Trials, increments, records, regression
 
 
 def trials(u, y):
@@ -111,6 +111,23 @@ def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noi
         y = lfilter([0.3 * direct, 0.3 * (1 - direct)], [1, -0.7], u)
         y += noise * rng.standard_normal(y.shape)
         assert FOLLOWS not in said(trials(u, y), False)
+
+
+def test_the_first_coefficient_is_as_uncertain_as_in_draws_from_the_posterior():
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(60), 3)[None]
+    fit = regression(
+        trials(u, lfilter([0.3], [1, -0.7], u) + 0.1 * rng.standard_normal((1, 180))), True
+    )
+    count, post, layout = fit.data.count.sum(), fit.posterior, fit.data.layout
+    z = np.linalg.solve(post.U, rng.standard_normal((len(post.U), 20_000)))
+    x = fit.mean[:, None] + post.size[:, None] * (post.rest / count) ** 0.5 * z
+    drawn = (increments(layout.moved[0]) @ x[(layout.kind == 1) & (layout.c == 1)])[0]
+    first = fit.impulse(1)[0, 0]
+    assert drawn.mean() == pytest.approx(first, abs=5 * drawn.std() / 141)
+    (share,), (explained,) = module._first(fit)
+    assert first**2 / count / drawn.var() == pytest.approx(explained, rel=0.1)
+    assert share == pytest.approx(0.3, abs=0.1)
 
 
 def test_memory_grows_as_the_trials_do():

@@ -107,6 +107,18 @@ def test_another_log_contradicts_or_does_not():
     assert twice.contradicts and twice.by == pytest.approx(1.0, abs=0.2)
 
 
+def test_the_fit_of_a_short_log_is_that_of_its_noise():
+    """On average: what a start may leave explains noise, too, of which degrees of freedom count."""
+    estimate, beyond = measured_response(moved(LAG, 1000)), []
+    for seed in range(10):
+        log, still = (moved(LAG, 60, seed, noise=noise) for noise in (0.3, 0.0))
+        line = np.polyfit(np.arange(60), log.y.values.ravel(), 1)
+        power = np.var(log.y.values.ravel() - np.polyval(line, np.arange(60)))
+        noise = (log.y - still.y).values
+        beyond.append(estimate.check(log).fit.item() - 1 + (np.mean(noise**2) / power) ** 0.5)
+    assert np.mean(beyond) == pytest.approx(0, abs=0.03)
+
+
 def test_a_loop_whose_reference_is_not_known_is_refused():
     """The commands follow what the noise has done; of one log it is known, of another it is not."""
     rng, N = np.random.default_rng(0), 600

@@ -7,6 +7,7 @@ import xarray as xr
 from plants import furnace
 
 from ilctools import measured_response, synthesise, zero_phase_butterworth
+from ilctools.measurement import regression
 from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
@@ -80,12 +81,15 @@ def test_known_disturbances_that_rest_are_no_inputs():
     np.testing.assert_allclose(group.u[0, :, 1], d[0, :, 2] / d[0, :, 2].std())
 
 
-def test_a_known_delay_is_less_to_estimate():
+def test_a_known_delay_is_less_to_estimate(monkeypatch):
     plant = control.ss(furnace(60))
     log = moved(plant, 400)
     late, searched = measured_response(log, delay=61), measured_response(log)
+    monkeypatch.setattr(regression, "ROOM", ())
+    unknown = measured_response(log)
     assert np.all(error(late, plant) <= late.radius(0.99, jointly=True))
     assert np.median(late.radius() / searched.radius()) < 1  # which is a few samples short
+    assert np.median(late.radius() / unknown.radius()) < 0.9
     assert late.model().nstates == 1 + 60
     for delay in (-1, 0.5, [1, 2]):
         with pytest.raises(ValueError, match="delay"):
