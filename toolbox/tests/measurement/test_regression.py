@@ -90,6 +90,38 @@ def test_of_much_data_it_is_the_plant():
     np.testing.assert_allclose(spectrum, P, atol=1e-6)
 
 
+def test_regressors_impulse_and_frequency_response_are_those_of_one_model():
+    """Slow parts among them, of a size that counts; A is one."""
+    groups = [trials_of(1)]
+    fit, omega = regression(groups, direct=True), np.linspace(0.01, 3, 20)
+    layout, rng = fit.data.layout, np.random.default_rng(0)
+    x = rng.standard_normal(len(fit.mean)) * ((layout.kind == 1) | (layout.kind == 2))
+    model = replace(fit, mean=x)
+    ((X, _, line, _),) = records(groups, layout)
+    y = sum(
+        np.convolve(u, g)[:60] for u, g in zip(groups[0].u[0].T, model.impulse(60), strict=True)
+    )
+    np.testing.assert_allclose(X @ x, module.without(line, y), atol=1e-9)
+    spectrum = np.exp(-1j * np.outer(omega, np.arange(3000))) @ model.impulse(3000).T
+    np.testing.assert_allclose(spectrum, model.response(omega), atol=1e-9)
+
+
+def test_where_starts_are_too_many_first_samples_are_left_out():
+    for trials, kept in ((5, 60), (100, 45)):
+        groups = [trials_of(trials)]
+        layout = module._layout(groups, True, np.zeros(2, int))
+        assert [len(y) for _, y, *_ in records(groups, layout)] == [kept] * trials
+        assert np.any(layout.kind == 3) == (kept == 60)
+
+
+def test_a_delay_must_be_likelier_than_its_chance():
+    groups, delays = [trials_of(1)], np.array([2, 0])
+    late = module._fitted(groups, True, delays, None)
+    assert late.surprise - surprise(late.eta, late.data)[0] == pytest.approx(np.log(60))
+    at_once = module._fitted(groups, True, 0 * delays, None)
+    assert at_once.surprise == pytest.approx(surprise(at_once.eta, at_once.data)[0])
+
+
 def test_the_covariance_of_P_is_that_of_coefficients_drawn_about_the_estimate():
     """To first order: of draws whose coefficients are a thousandth as far off."""
     fit, omega = regression([trials_of(1, N=100)], direct=True), np.linspace(0.01, 3, 5)
