@@ -5,6 +5,7 @@ output shows; and any plant, a transfer function as well, as such a model in dis
 """
 
 import copyreg
+import math
 import reprlib
 from collections.abc import Sequence
 from functools import partial
@@ -89,11 +90,23 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     x = arguments.array("initial", initial, ("n",))
     A = arguments.array("A", A, (len(x), len(x)))
     forcing = arguments.array("forcing", forcing, ("time", len(x)))
-    states = np.empty_like(forcing)
-    for p, f in enumerate(forcing):
-        states[p] = x
-        x = A @ x + f
-    return states
+    # as many blocks as each has samples: x within them = from rest + A^p of the state they start in
+    length = 1 + math.isqrt(len(forcing))
+    f = np.zeros((length**2, len(x)))
+    f[: len(forcing)] = forcing
+    f = f.reshape(length, length, -1).swapaxes(0, 1)  # sample, block, state
+    states, at_rest = np.empty_like(f), np.zeros(f.shape[1:])
+    for p in range(length):
+        states[p] = at_rest
+        at_rest = at_rest @ A.T + f[p]
+    starts, A_block = np.empty_like(at_rest), np.linalg.matrix_power(A, length)
+    for block in range(length):
+        starts[block] = x
+        x = A_block @ x + at_rest[block]
+    for p in range(length):
+        states[p] += starts
+        starts = starts @ A.T
+    return states.swapaxes(0, 1).reshape(-1, len(x))[: len(forcing)]
 
 
 def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:

@@ -40,6 +40,7 @@ AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
 ROUNDING = 1e-9  # relative to the largest signal
 TINY = np.finfo(float).tiny  # instead of a zero that divides
+TESTED = ("reference", "e", "effect", "spread")
 AXES = ("trial", "time", "channel")
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
@@ -78,10 +79,14 @@ def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
         if not exact and (P := known_P(law)):
             trials = predicted(trials, law, P)
             tests["model"] = partial(plant_differs, law, largest_M(law, P))
-        for channels, (k, since) in product(groups, enumerate(successions(trials))):
+        first_alike = successions(trials)
+        trials = trials[[name for name in TESTED if name in trials]]
+        of_units = [trials.isel(channel=channels) for channels in groups]
+        of_units = [trials.assign(rms=rms_of(trials.e)) for trials in of_units]
+        for alike, (k, since) in product(of_units, enumerate(first_alike)):
             if not first - 1 <= k > since:
                 continue
-            alike = trials.isel(channel=channels, trial=slice(since, k + 1))
+            alike = alike.isel(trial=slice(since, k + 1))
             where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
             for kind, test in tests.items():
                 if kind not in found and (values := test(alike)):
@@ -95,15 +100,17 @@ def error_grows(trials: xr.Dataset) -> dict:
     It is tested where the error rose several times in succession up to the last trial, or to a
     multiple at once.
     """
-    e, size = trials.e.values, rms_of(trials.e).values
+    e, size = trials.e.values, trials["rms"].values
     size = np.maximum(size, ROUNDING * max(np.abs(trials.reference.values).max(), *size))
     rises, least = np.append(size[:0:-1] > size[-2::-1], False).argmin(), GROWTH
     before = len(size) - 1 - rises
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
-    growth, noise = size[-1] / size[before], AMPLIFICATION * np.linalg.norm(noise_std(e[0]))
+    growth = size[-1] / size[before]
+    if growth < least or size[-1] < AMPLIFICATION * np.linalg.norm(noise_std(e[0])):
+        return {}
     freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
-    if growth < least or size[-1] < noise or chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
+    if chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
         return {}
     return {"trials": trials.trial.values[[before, -1]], "rms": size[[before, -1]]}
 
@@ -181,7 +188,7 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     prediction by noise alone, independent from trial to trial, by less than the promise allows, or
     by a disturbance that grows from trial to trial, by as much in each.
     """
-    e, size, last = trials.e.values, rms_of(trials.e).values, trials.sizes["trial"] - 1
+    e, size, last = trials.e.values, trials["rms"].values, trials.sizes["trial"] - 1
     if last < 2:  # noise is known from two changes on
         return {}
     changes, expected = np.diff(e, axis=0), -np.diff(trials.effect.values, axis=0)
@@ -189,8 +196,9 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     noise = noise + (ROUNDING * np.abs(e[last]).max()) ** 2
     for before, k in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
         errors = errors_by_octave(law, sigma, trials, before, k)
-        p = chance_of_excess(errors.excess / (k - before), noise, freedom, last)
-        significant = errors.excess * (p < SIGNIFICANCE)
+        excess = errors.excess.values
+        p = chance_of_excess(excess / (k - before), noise, freedom, last)
+        significant = excess * (p < SIGNIFICANCE)
         worst = significant.argmax()
         if significant[worst] > EXCESS * size[0]:
             channel = np.abs(came[worst] - 1).argmax()
