@@ -54,7 +54,6 @@ NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 NEGLIGIBLE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
-PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "kind", "place", "cell"]
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
 SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
@@ -198,7 +197,8 @@ def summary(rows: pd.DataFrame) -> str:
     for name in COUNTED:
         agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]
         keys = rows.key[(kinds(rows) == name) & (rows.verdict == DIFFERS)]
-        names = ", ".join(f"`{key}`" for key in keys if name != "coefficient")
+        linked = "[`{0}`](figures/ledger.md#{0})".format
+        names = ", ".join(map(linked, keys)) if name != "coefficient" else ""
         which = f", not {names}" if names else ""
         lines.append(f"- {KINDS[name]}: {agree} of {agree + differ} agree{which}\n")
     vague, unchecked = counts[IN_WORDS].drop("misprint").sum(), counts[UNCHECKED].sum()
@@ -225,15 +225,27 @@ def figures() -> str:
             place = f"[{path.stem}](../notebooks/{path.name}#cell-id={cell['id']})"
             names = re.findall(SAVED, "".join(cell["source"]))
             lines += [f"- [{name}]({name}.png): {place}" for name in names]
-    return "\n".join(sorted(lines))
+    return "\n".join(sorted(lines, key=lambda line: (not line.startswith("- [fig"), line)))
 
 
 def markdown(rows: pd.DataFrame) -> str:
     """The whole ledger as a readable page, with what we do otherwise than the paper."""
-    notes = rows.note.map(lambda note: note and f"<br>*{note}*")
+    notes = "<br>*" + rows.place + rows.note.map(lambda note: note and f". {note}") + "*"
     cells = "[" + rows.notebook + "](../notebooks/" + rows.notebook + ".ipynb#cell-id=" + rows.cell
-    table = differing_first(rows.assign(claim=rows.claim + notes, cell=cells + ")"))[PAGE]
-    table = table.replace({r"\|": r"\|"}, regex=True)
+    columns = {
+        "key": '<a id="' + rows.key + '"></a>`' + rows.key + "`",
+        "claim": rows.claim + notes,
+        "printed or criterion": rows.printed + " " + rows.tolerance,
+        "computed": rows.computed,
+        "verdict": rows.verdict,
+        "cell": cells + ")",
+    }
+    table = pd.DataFrame(columns).replace({r"\|": r"\|"}, regex=True)
+    hardly = kinds(rows).isin(["taken over", "identity"]) & (rows.verdict != DIFFERS)
+    first, folded = (
+        differing_first(part).to_markdown(index=False, disable_numparse=True)
+        for part in (table[~hardly], table[hardly])
+    )
     counts = counted(rows).rename(index=KINDS).rename_axis("")
     return f"""# Printed against computed
 
@@ -251,9 +263,17 @@ could hardly differ.
 ## Deviations from the paper
 
 {DEVIATIONS.read_text(encoding="utf-8")}
-## All rows, those that differ first
+## What could have differed, what differs first
 
-{table.to_markdown(index=False, disable_numparse=True)}
+{first}
+
+## What is taken over or imposed
+
+<details><summary>Rows that could hardly differ</summary>
+
+{folded}
+
+</details>
 
 ## The figures
 
@@ -294,7 +314,8 @@ def changed(build: Path, root: Path) -> list[str]:
         "README.md": splice(readme, "ledger", summary(rows)),
     }
     figures = different_figures(build / "figures", root / "figures")
-    names = [f"figures/{figure}.{kind}" for figure in figures for kind in ("png", "pdf")]
+    names = [f"figures/{name}.{kind}" for name in figures for kind in ("png", "pdf", "webp")]
+    names = [name for name in names if (build / name).exists() or (root / name).exists()]
     for name, text in texts.items():
         write_whole(build / name, text)
         if text.encode() != (root / name).read_bytes():
