@@ -20,10 +20,14 @@ def text(name):
     return (ROOT / name).read_text(encoding="utf-8")
 
 
-def test_readme_and_ledger_page_show_the_tracked_ledger():
+def test_readme_page_and_codecheck_show_the_tracked_ledger_and_figures():
     readme = text("README.md")
     assert ledger.splice(readme, "ledger", ledger.summary(ROWS)) == readme
     assert text("figures/ledger.md") == ledger.markdown(ROWS)
+    manifest = ledger.saved_figures(ledger.MANIFEST) + "  # "
+    assert ledger.splice(text("codecheck.yml"), "manifest", manifest) == text("codecheck.yml")
+    files = [ROOT / name for name in re.findall(r"- file: (.*)", text("codecheck.yml"))]
+    assert all(file.exists() for file in files) and len(files) > 40
 
 
 def test_each_row_and_each_figure_leads_to_the_cell_that_made_it():

@@ -56,6 +56,10 @@ SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
 SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
+LINK = "- [{0}]({0}.png): [{1}](../notebooks/{1}.ipynb#cell-id={2})\n"  # of a figure, on the page
+MANIFEST = """  - file: figures/{0}.png
+    comment: "{3}; notebooks/{1}.ipynb, cell {2}"
+"""  # of codecheck.yml
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
@@ -217,15 +221,16 @@ def counted(rows: pd.DataFrame) -> pd.DataFrame:
     return counts.reindex(index=KINDS, columns=VERDICTS, fill_value=0)
 
 
-def figures() -> str:
-    """A line of Markdown for each figure, with the cell that saves it."""
-    lines = []
+def saved_figures(line: str) -> str:
+    """A line for each figure, the paper's first, of its name, notebook, cell, and what it is."""
+    saved = []
     for path in (ROOT / "notebooks").glob("*.ipynb"):
         for cell in code_cells(path):
-            place = f"[{path.stem}](../notebooks/{path.name}#cell-id={cell['id']})"
-            names = re.findall(SAVED, "".join(cell["source"]))
-            lines += [f"- [{name}]({name}.png): {place}" for name in names]
-    return "\n".join(sorted(lines, key=lambda line: (not line.startswith("- [fig"), line)))
+            for name in re.findall(SAVED, "".join(cell["source"])):
+                paper = re.match(r"fig0?(\d+)", name)
+                what = f"Fig. {paper[1]} of the paper" if paper else "not in the paper"
+                saved.append((not paper, name, path.stem, cell["id"], what))
+    return "".join(line.format(*of) for _, *of in sorted(saved))
 
 
 def markdown(rows: pd.DataFrame) -> str:
@@ -277,8 +282,7 @@ could hardly differ.
 
 ## The figures
 
-{figures()}
-"""
+{saved_figures(LINK)}"""
 
 
 def splice(text: str, name: str, content: str) -> str:
@@ -307,11 +311,14 @@ def changed(build: Path, root: Path) -> list[str]:
     The texts are written to `build`, under the names that they have in the repository.
     """
     rows = settled(join(build / "ledger"), read(root / "figures" / "ledger.csv"))
-    readme = (root / "README.md").read_text(encoding="utf-8")
+    readme, codecheck = (
+        (root / name).read_text(encoding="utf-8") for name in ("README.md", "codecheck.yml")
+    )
     texts = {
         "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
         "figures/ledger.md": markdown(rows),
         "README.md": splice(readme, "ledger", summary(rows)),
+        "codecheck.yml": splice(codecheck, "manifest", saved_figures(MANIFEST) + "  # "),
     }
     figures = different_figures(build / "figures", root / "figures")
     names = [f"figures/{name}.{kind}" for name in figures for kind in ("png", "pdf", "webp")]

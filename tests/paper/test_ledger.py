@@ -184,8 +184,8 @@ def root(tmp_path, monkeypatch):
         "before\n<!-- ledger -->\nold<!-- end of ledger -->\nafter\n"
     )
     (tmp_path / "figures").mkdir()
-    for name in ("ledger.csv", "ledger.md"):
-        shutil.copy(ROOT / "figures" / name, tmp_path / "figures")
+    for name in ("figures/ledger.csv", "figures/ledger.md", "codecheck.yml"):
+        shutil.copy(ROOT / name, tmp_path / name)
     book = Ledger("01-model")
     for key, entry in published.claims().items():
         computed = 1.0 if entry.criterion else published.value(entry.printed)
@@ -214,9 +214,11 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     draw(root, "performance", 0)
     pictures = ("extra99-stale", "fig01", "fig02", "fig03")
     names = [f"{picture}.{kind}" for picture in pictures for kind in ("png", "pdf")]
+    names.insert(2, "extra99-stale.webp")
+    (root / "figures" / names[2]).write_text("stale")
     new = ", ".join(f"figures/{name}" for name in [*names, "ledger.csv", "ledger.md"])
     assert publish(root, capsys) == f"different: {new}, README.md"
-    pictures = {path.stem for path in (root / "figures").glob("*.p*")}
+    pictures = {path.stem for path in (root / "figures").glob("*.*p*")}
     assert pictures == {"fig01", "fig02", "fig03", "performance"}
     rows = pd.read_csv(root / "figures" / "ledger.csv", keep_default_na=False)
     assert list(rows.key) == list(published.claims())
