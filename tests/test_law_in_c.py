@@ -1,4 +1,4 @@
-"""docs/law.c makes the next trial's signal of a saved law as `Law.next` does."""
+"""docs/law.c and law.m make the next trial's signal of a saved law as `Law.next` does."""
 
 import json
 import platform
@@ -103,6 +103,28 @@ def test_it_is_that_bit_for_bit_where_sums_are_exact(program, tmp_path):
     assert np.abs(actual - expected).max() < 1e-13 * np.abs(expected).max()
 
 
+def by_octave(law, v, e, folder):
+    """What law.m makes of the file of a law, or an error."""
+    octave = shutil.which("octave-cli")
+    if octave is None:
+        pytest.skip("Octave is not installed")
+    save_law(folder / "law.json", law)
+    for name, signal in {"v": v, "e": e}.items():
+        np.savetxt(folder / name, signal, "%.17g")
+    made = "law('law.json', load('v'), load('e'))"
+    call = [octave, "--path", SOURCE.parent, "--eval", f"printf('%.17g ', {made}.')"]
+    run = subprocess.run(call, cwd=folder, capture_output=True, text=True)
+    return run.stderr if run.returncode else np.reshape(run.stdout.split(), v.shape).astype(float)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_octave_makes_the_same_v(name, tmp_path):
+    law = LAWS[name]
+    v, e = RNG.standard_normal((2, 200, law.channels))
+    actual, expected = by_octave(law, v, e, tmp_path), law.next(v, e)
+    assert np.abs(actual - expected).max() < 1e-12 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize(
     "law",
     [Law(zero_phase_butterworth(2, 0.1, 1.0, ends="hold"), EXACT),
@@ -113,6 +135,7 @@ def test_what_it_does_not_know_it_refuses(sanitized, law, tmp_path):
     save_law(tmp_path / "law.json", law)
     v, content = np.zeros((20, law.channels)), (tmp_path / "law.json").read_bytes()
     assert outcomes(sanitized, [content], v, v, tmp_path) == [None]
+    assert by_octave(law, v, v, tmp_path).startswith("error: law: ")
 
 
 @pytest.mark.parametrize(
