@@ -34,6 +34,7 @@ autodoc_member_order = "bysource"
 default_role = "code"  # of what stands in single backticks
 suppress_warnings = ["ref.python"]  # two classes with a field of one name
 html_theme = "sphinx_book_theme"
+html_static_path = html_css_files = ["pages.css"]
 html_copy_source = False
 
 # The theme listens to the first button for each sidebar, which it hides, and shows another one.
@@ -60,9 +61,9 @@ def fold(app, docname, source):
         source[0] = json.dumps(notebook | {"cells": cells})
 
 
-def lead_to_cells(app, docname, source):
-    """Links to cells, which JupyterLab follows as they are, to their anchors."""
-    link = r"\[([^]]+)\]\((\S+)\.ipynb(#cell-id=[^)]+)\)"
+def lead_to_anchors(app, docname, source):
+    """Links to cells, which JupyterLab follows as they are, and to rows of the ledger."""
+    link = r"\[([^]]+)\]\((\S+)\.(?:ipynb(?=#cell-id=)|md(?<=/ledger.md))(#[^)]+)\)"
     source[0] = re.sub(link, r'<a href="\2.html\3">\1</a>', source[0])
 
 
@@ -76,5 +77,5 @@ def setup(app):
     app.config.mathjax_path = "mathjax/tex-svg.js"
     app.add_js_file(None, body=MENUS)
     app.connect("source-read", fold)
-    app.connect("source-read", lead_to_cells)
+    app.connect("source-read", lead_to_anchors)
     app.connect("autodoc-process-docstring", escape_bars)

@@ -235,20 +235,20 @@ def saved_figures(line: str) -> str:
 
 def markdown(rows: pd.DataFrame) -> str:
     """The whole ledger as a readable page, with what we do otherwise than the paper."""
+    rows = differing_first(rows)
     notes = "<br>*" + rows.place + rows.note.map(lambda note: note and f". {note}") + "*"
-    cells = "[" + rows.notebook + "](../notebooks/" + rows.notebook + ".ipynb#cell-id=" + rows.cell
+    cells = "](../notebooks/" + rows.notebook + ".ipynb#cell-id=" + rows.cell + ")"
     columns = {
         "key": '<a id="' + rows.key + '"></a>`' + rows.key + "`",
         "claim": rows.claim + notes,
         "printed or criterion": rows.printed + " " + rows.tolerance,
         "computed": rows.computed,
-        "verdict": rows.verdict,
-        "cell": cells + ")",
+        "verdict": "[" + rows.verdict + cells,
     }
     table = pd.DataFrame(columns).replace({r"\|": r"\|"}, regex=True)
     hardly = kinds(rows).isin(["taken over", "identity"]) & (rows.verdict != DIFFERS)
     first, folded = (
-        differing_first(part).to_markdown(index=False, disable_numparse=True)
+        part.to_markdown(index=False, disable_numparse=True)
         for part in (table[~hardly], table[hardly])
     )
     counts = counted(rows).rename(index=KINDS).rename_axis("")
@@ -269,6 +269,8 @@ could hardly differ.
 
 {DEVIATIONS.read_text(encoding="utf-8")}
 ## What could have differed, what differs first
+
+Each verdict leads to the cell that computes the number.
 
 {first}
 

@@ -137,7 +137,8 @@ def test_pages_show_all_there_is_without_a_network(page, tmp_path):
     assert (outcome.returncode, outcome.stderr) == (0, "")
     requests = []
     page.on("request", lambda request: requests.append(request.url))
-    for name in ("notebooks/03-ilc-synthesis", "figures/ledger"):
+    names = "notebooks/03-ilc-synthesis", "figures/ledger", "figures/performance", "docs/reference"
+    for name in names:
         page.goto((tmp_path / f"{name}.html").as_uri())
         width, formulas, misprinted, lost = page.evaluate(LOADED)
         assert (width, misprinted, lost) == (400, 0, 0), name
@@ -145,6 +146,9 @@ def test_pages_show_all_there_is_without_a_network(page, tmp_path):
     assert all(url.startswith(("file:", "data:")) for url in requests)
     ledger = (tmp_path / "figures" / "ledger.html").read_text("utf-8")
     cells = {*re.findall(r'href="\.\./(notebooks/\S+\.html)#(cell-id=[^"]+)"', ledger)}
+    readme = (tmp_path / "README.html").read_text("utf-8")
+    keys = re.findall(r'href="figures/ledger.html#([^"]+)"', readme)
+    assert len(keys) > 5 and all(f'id="{key}"' in ledger for key in keys)
     assert len(cells) > 50
     texts = {target: (tmp_path / target).read_text("utf-8") for target, _ in cells}
     assert all(texts[target].count(f'id="{cell}"') == 1 for target, cell in cells)

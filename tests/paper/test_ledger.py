@@ -94,7 +94,7 @@ def test_what_could_have_differed_is_counted_by_kind():
         "taken over": [1, 1, 0, 0],
         "identity": [2, 0, 0, 0],
     }
-    verdicts = re.findall(r"\| (reproduced|differs|in words) +\| \[", page)
+    verdicts = re.findall(r"\| \[(reproduced|differs|in words)\]", page)
     assert verdicts[:2] == ["differs", "differs"] and "differs" not in verdicts[2:]
 
 
