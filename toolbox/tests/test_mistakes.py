@@ -60,9 +60,15 @@ def test_the_phase_of_causal_plants_is_no_finding(seed):
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("Hz", 2 * np.pi), ("rad/sample", 1 / TS)])
-def test_omega_in_another_unit_is_refused(unit, factor):
+@pytest.mark.parametrize(("end", "each"), [(1.0, 1), (1.0, 50), (0.9995, 1), (0.991, 1)])
+def test_omega_in_another_unit_is_refused(unit, factor, end, each):
+    """Whether the last line is at the Nyquist frequency or just below; in rad/s it is not."""
     with pytest.raises(ValueError, match=f"omega is in {unit}, multiply it by {factor:.6g}$"):
-        synthesise(P, Q, OMEGA / factor)
+        omega = end * OMEGA[each - 1 :: each]
+        synthesise(frequency_response(MODEL, omega), Q, omega / factor)
+    for plant in (LAG, *map(random_stable, range(10))):
+        omega = np.linspace(0.01, end, 100) * (0.5 / plant.dt if unit == "Hz" else np.pi)
+        pose(frequency_response(plant, omega), np.exp(-omega), omega, plant.dt)
 
 
 @pytest.mark.parametrize("seed", range(10))
