@@ -31,7 +31,7 @@ from ilctools.trials.diagnosis import (
     degrees_of_freedom,
     diagnose,
     errors_by_octave,
-    known_P,
+    known_plants,
     largest_M,
     predicted,
     unexplained,
@@ -268,7 +268,7 @@ def test_ratios_by_octave_are_those_of_M():
     reference[1500:2000], reference[2200:2260] = bump(500, [10.0]), bump(60, [5.0])
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(law.loop, law, reference, trials=2, plant=plant)
-    P = known_P(law)
+    [P] = known_plants(law)
     table = errors_by_octave(law, largest_M(law, P), predicted(run, law, P), 0, 1)
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2

@@ -6,31 +6,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth
 from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
 from ilctools.loop.closed import Loop, same_loop
+from ilctools.response.response import Response
 from ilctools.signals import Signals, check_match
-
-
-@dataclass(frozen=True, eq=False)
-class Region:
-    """P of a law whose design had no model, and how far off it may be.
-
-    Between the frequencies P is a cubic spline; beyond them it is what it is at the last one.
-    """
-
-    omega: np.ndarray  # rad/s, shape (n,)
-    response: np.ndarray  # shape (n, m, m), complex
-    radius: np.ndarray  # of sigma_max(Delta) in the outputs' units, shape (n,)
-
-    def on(self, omega) -> tuple[np.ndarray, np.ndarray]:
-        """P and its radius at other frequencies."""
-        at = np.clip(omega, *self.omega[[0, -1]])
-        spline = make_interp_spline(self.omega, self.response, min(3, len(self.omega) - 1))
-        return spline(at), np.interp(at, self.omega, self.radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +39,10 @@ class Law:
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without one to theirs, and refuse a law for another.
-    region : Region, optional
-        P and its radius at the design frequencies, of a design without a model: by it trials are
-        judged if the loop has no P. :meth:`.Synthesis.law` gives it; neither a file of the law nor
-        a log stores it.
+    region : Response, optional
+        The plants of a design and their radius, but of one model alone: trials are judged by them,
+        else by the loop's P. :meth:`.Synthesis.law` gives it; neither a file of the law nor a log
+        stores it.
     labels : Signals, optional
         Names and units of the plant of a design: a loop with the same in another order is refused.
         No file stores them, either.
@@ -89,7 +71,7 @@ class Law:
     gain: float = 1.0
     limits: dict[str, tuple[float, ...]] | None = None
     loop: Loop | None = None
-    region: Region | None = field(default=None, repr=False)
+    region: Response | None = field(default=None, repr=False)
     labels: Signals | None = field(default=None, repr=False)
 
     def __post_init__(self):

@@ -1,6 +1,7 @@
 """The door: plants in whatever form they are known become one Response."""
 
 import reprlib
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -161,6 +162,15 @@ def _in_units(scale, models, responses):
         for model in models
     ]
     return models, responses * (scale / scale[:, None]), scale
+
+
+def in_own_units(response: Response) -> Response:
+    """A response in the plants' own units; its radius covers that in units of `scale`."""
+    scale, radius = response.scale, response.radius
+    models, P, _ = _in_units(1 / scale, response.models, response.P)
+    if radius is not None:
+        radius = radius * scale.max() / scale.min()
+    return replace(response, models=tuple(models), P=P, radius=radius, scale=np.ones(len(scale)))
 
 
 def _refuse_other_units(name, omega, responses, Ts):

@@ -10,10 +10,11 @@ from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
 from ilctools.filters import Filter
-from ilctools.law.law import Law, Region
+from ilctools.law.law import Law
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
+from ilctools.response.door import in_own_units
 from ilctools.signals import check_match
 from ilctools.threads import on_one_thread
 
@@ -99,18 +100,15 @@ class Synthesis:
     def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
         """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`.
 
-        If P was no model, the law keeps it with its radius: trials are judged by it.
+        If P was not one model, the law keeps what was known of it: trials are judged by that.
         """
         problem, region = self.problem, None
         if isinstance(problem.lowpass, SampledQ):
             raise ValueError(
                 "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
             )
-        if problem.response.models == (None,):
-            scale = problem.scale
-            P = problem.P * scale[:, None] / scale
-            radius = np.zeros(len(P)) if problem.radius is None else problem.radius
-            region = Region(problem.omega, P, radius * scale.max() / scale.min())
+        if problem.robust or problem.response.sampled:
+            region = in_own_units(problem.response)
         signals = problem.response.signals
         return Law(self.Q, self.filter, rest, gain, limits, region=region, labels=signals)
 

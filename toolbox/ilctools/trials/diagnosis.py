@@ -16,7 +16,6 @@ themselves: it is what does not repeat, however coloured, and what v does not ex
 
 from collections.abc import Callable
 from functools import partial
-from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -40,7 +39,7 @@ AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
 ROUNDING = 1e-9  # relative to the largest signal
 TINY = np.finfo(float).tiny  # instead of a zero that divides
-TESTED = ("reference", "e", "effect", "spread")
+TESTED = ("reference", "e", "effect", "spread", "forgotten", "learned")
 AXES = ("trial", "time", "channel")
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
@@ -53,8 +52,8 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     trials : xarray.Dataset
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
-        If its loop has a model P, or else its design a P with a radius, the trials are compared
-        with that.
+        If its design was for more than one model, or else its loop has a model P, the trials are
+        compared with that: they must contradict each of the plants.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -73,34 +72,53 @@ def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     """The first finding of each kind, as numbers; `where`: in which outputs, if units differ."""
     if law.L is None:
         return {}
-    found, tests = {}, {"growth": error_grows}
-    groups = by_unit(trials.output_unit.values.tolist()).values()
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
-        if not exact and (P := known_P(law)):
-            trials = predicted(trials, law, P)
-            tests["model"] = partial(plant_differs, law, largest_M(law, P))
-        first_alike = successions(trials)
-        trials = trials[[name for name in TESTED if name in trials]]
-        of_units = [trials.isel(channel=channels) for channels in groups]
-        of_units = [trials.assign(rms=rms_of(trials.e)) for trials in of_units]
-        for alike, (k, since) in product(of_units, enumerate(first_alike)):
-            if not first - 1 <= k > since:
-                continue
-            alike = alike.isel(trial=slice(since, k + 1))
-            where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
-            for kind, test in tests.items():
-                if kind not in found and (values := test(alike)):
-                    found[kind] = {"where": where} | values
-    return found
+        found = {"growth": _first_finding(error_grows, forgetting(trials, law), first)}
+        for P in [] if exact else known_plants(law):
+            differs = partial(plant_differs, law, largest_M(law, P))
+            found["model"] = _first_finding(differs, predicted(trials, law, P), first)
+            if not found["model"]:
+                break
+    return {kind: values for kind, values in found.items() if values}
+
+
+def _first_finding(test, trials, first):
+    """What a test first finds of trials in succession, in the outputs of one unit."""
+    groups = by_unit(trials.output_unit.values.tolist()).values()
+    begins = [(k, since) for k, since in enumerate(successions(trials)) if first - 1 <= k > since]
+    trials = trials[[name for name in TESTED if name in trials]]
+    for channels in groups:
+        alike = trials.isel(channel=channels)
+        alike = alike.assign(rms=rms_of(alike.e))
+        for k, since in begins:
+            if values := test(alike.isel(trial=slice(since, k + 1))):
+                where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
+                return {"where": where} | values
+    return {}
+
+
+def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
+    """Trials with what (23) takes from v, (1 - Q) v, and with what it adds, Q L e."""
+    v, e = trials.v.values, np.nan_to_num(trials.e.values)
+    forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
+    return trials.assign(forgotten=(AXES, forgotten), learned=(AXES, learned))
 
 
 def error_grows(trials: xr.Dataset) -> dict:
     """Null hypothesis: errors of trials with one reference are noise of one variance.
 
     It is tested where the error rose several times in succession up to the last trial, or to a
-    multiple at once.
+    multiple at once. First trials with a v that Q forgets, as another law or task had it, are no
+    beginning: with e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
     """
+    forgotten, learned = (
+        np.linalg.norm(trials[name], axis=(1, 2)) for name in ("forgotten", "learned")
+    )
+    forgets = np.logical_and.accumulate(forgotten > GROWTH * learned)
+    trials = trials.isel(trial=slice(forgets.sum(), None))
     e, size = trials.e.values, trials["rms"].values
+    if len(size) < 2:
+        return {}
     size = np.maximum(size, ROUNDING * max(np.abs(trials.reference.values).max(), *size))
     rises, least = np.append(size[:0:-1] > size[-2::-1], False).argmin(), GROWTH
     before = len(size) - 1 - rises
@@ -127,12 +145,13 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
     return min(1.0, exceeds) / factorial(trials)
 
 
-def known_P(law: Law) -> Callable | None:
-    """P and its radius over omega: of the model of the law's loop, or else as its design had it."""
+def known_plants(law: Law) -> list[Callable]:
+    """P and its radius over omega, of each plant of the design, or else of the loop's model."""
+    if law.region is not None:
+        return [partial(law.region.anywhere, k) for k in range(len(law.region.models))]
     model = getattr(law.loop, "P", None)
-    if model is None:
-        return law.region and law.region.on
-    return lambda omega: (frequency_response(model, omega), np.zeros(len(omega)))
+    known = [] if model is None else [model]
+    return [lambda omega, P=P: (frequency_response(P, omega), np.zeros(len(omega))) for P in known]
 
 
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:

@@ -2,21 +2,25 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import control
 import numpy as np
 import pytest
-from plants import RestartingModel
+from plants import RestartingModel, altered
 
 from ilctools import (
     ClosedLoop,
     measured_response,
     record,
     replay,
+    rms,
+    run_trials,
     synthesise,
+    transfer,
     zero_phase_butterworth,
 )
-from ilctools.trials.diagnosis import GRID, errors_by_octave, largest_M, predicted
+from ilctools.trials.diagnosis import GRID, errors_by_octave, known_plants, largest_M, predicted
 from ilctools.trials.rms import rms_by_octave
 
 PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
@@ -56,7 +60,9 @@ def test_the_radius_allows_for_its_share_of_the_change_of_v(law):
     sigma, errors = {}, {}
     for radius in (0.0, RADIUS):
         region = replace(law.region, radius=np.full(len(law.region.omega), radius))
-        sigma[radius], trials = largest_M(law, region.on), predicted(log, law, region.on)
+        vars(region)["missed"] = np.zeros((1, 200))  # between the samples
+        P = partial(region.anywhere, 0)
+        sigma[radius], trials = largest_M(law, P), predicted(log, law, P)
         errors[radius] = errors_by_octave(law, sigma[radius], trials, 0, 1)
     added = errors[RADIUS].predicted - errors[0.0].predicted
     change = np.diff(log.v.values, axis=0)
@@ -69,5 +75,33 @@ def test_the_radius_allows_for_its_share_of_the_change_of_v(law):
 def test_P_v_is_what_the_plant_makes_of_v_from_rest(law):
     log = record(axis(), LOOP, law, REFERENCE, trials=2)
     expected = control.forced_response(PLANT, inputs=log.v.values[1].T).outputs
-    effect = predicted(log, law, law.region.on).effect.values[1].T
+    effect = predicted(log, law, *known_plants(law)).effect.values[1].T
     np.testing.assert_allclose(effect, expected[None], atol=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("choices", [{"base": None}, {"scale": [1.0, 3.0], "base": 0.1}])
+def test_trials_of_a_list_are_judged_by_each_of_its_plants(choices):
+    two = control.append(PLANT, PLANT)
+    coupled = control.ss(two.A, two.B, [[1, 0.2], [0, 1]] @ two.C, 0, 0.01)
+    *plants, other = (altered(coupled, B=gain) for gain in (1.0, 1.5, 0.8, 0.4))
+    design = synthesise(plants, zero_phase_butterworth(2, 20.0, 0.01), **choices)
+    task = ClosedLoop(plants[0]), design.law(), np.column_stack([REFERENCE, -REFERENCE])
+    with warnings.catch_warnings(action="error"):
+        for plant in plants:
+            run_trials(*task, plant=plant)
+    with pytest.warns(UserWarning, match="the convergence rate is not the predicted one"):
+        run_trials(*task, plant=other)
+
+
+@pytest.mark.parametrize("gain", [1.0, 2.5])
+def test_what_Q_forgets_of_a_given_v_is_no_divergence(gain):
+    """And a law that diverges is warned of after a transfer, too."""
+    loop, later = ClosedLoop(PLANT), np.roll(-REFERENCE, 30)
+    law = synthesise(loop, zero_phase_butterworth(2, 20.0, 0.01)).law()
+    v = transfer(run_trials(loop, law, REFERENCE, trials=6), later).v
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        run = run_trials(loop, law, later, v=v, plant=gain * PLANT)
+    size = rms(run).values
+    assert size[1] > 1.4 * size[0]
+    assert any("the error grows" in str(w.message) for w in seen) == (gain > 2)
