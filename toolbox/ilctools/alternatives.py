@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import control
 import numpy as np
 from scipy.fft import irfft, rfftfreq
 from scipy.sparse import csc_array, eye_array, kron
@@ -18,7 +17,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter, LearningOperator
-from ilctools.models import balanced, frequency_response, sampled_plant
+from ilctools.models import Model, balanced, frequency_response, sampled_plant
 
 SHORTEST, LONGEST = 2**12, 2**20  # samples of the transform, for an impulse response
 NEGLIGIBLE = 1e-9  # of its largest entry
@@ -56,7 +55,7 @@ def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> 
     return LearningFilter(identity[..., None] * coefficients, Ts)
 
 
-def gradient(P: control.StateSpace, step: float) -> LearningFilter:
+def gradient(P: Model, step: float) -> LearningFilter:
     """L = step P^*, the adjoint of P: the plant with its time reversed, step P_N^T on N samples.
 
     v moves against the gradient of ||e||^2 / 2, which is -P^* e. Without Q the rate is
@@ -117,7 +116,7 @@ class NormOptimal:
     (50, 1)
     """
 
-    P: control.StateSpace
+    P: Model
     weight: float
     samples: int
 

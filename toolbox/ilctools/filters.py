@@ -13,7 +13,7 @@ begins at rest and does not end at zero.
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -174,8 +174,13 @@ class LearningOperator(Protocol):
     :class:`LearningFilter` is one; those of other designs are in :mod:`ilctools.alternatives`.
     """
 
-    Ts: float
-    channels: int
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
 
     def frequency_response(self, omega) -> np.ndarray:
         """At `omega` (rad/s), shape (n, channels, channels), complex."""
@@ -214,7 +219,7 @@ class LearningFilter:
     (1, 1, 1)
     """
 
-    coefficients: np.ndarray = field(repr=False)
+    coefficients: np.ndarray | Any = field(repr=False)  # a list becomes an array
     Ts: float
     ends: str = "zero"
     first: int = 1

@@ -9,6 +9,7 @@ import math
 import reprlib
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import control
 import numpy as np
@@ -16,6 +17,9 @@ from scipy import signal
 from scipy.linalg import LinAlgError, matrix_balance, null_space
 
 from ilctools import arguments
+
+# With what a door realises, and what control.ss and control.sample_system may give by their types
+Model = control.StateSpace | Any
 
 
 def _reduced(model):
@@ -28,7 +32,7 @@ def _reduced(model):
 copyreg.pickle(control.StateSpace, _reduced)  # its own attributes are lambdas
 
 
-def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
+def frequency_response(system: Model, omega) -> np.ndarray:
     """Response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex.
 
     See Also
@@ -139,7 +143,7 @@ def reachable_basis(A, B) -> np.ndarray:
     return basis
 
 
-def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
+def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateSpace:
     """Restrict a plant to the states that its controls reach and its outputs show.
 
     The state is expressed in an orthonormal basis of the reachable subspace, then of the
@@ -247,9 +251,7 @@ def refuse_foreign(name: str, value) -> None:
         raise ValueError(f"{name} = {reprlib.repr(value)} is no linear model of control: {remedy}")
 
 
-def sampled_plant(
-    plant: control.StateSpace | control.TransferFunction, name: str = "plant"
-) -> control.StateSpace:
+def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
     """A plant in discrete time as a state-space model; realises a transfer function."""
     refuse_foreign(name, plant)
     if isinstance(plant, control.FrequencyResponseData):

@@ -15,7 +15,7 @@ from ilctools.evidence.optimality import lower_bound
 from ilctools.evidence.peak import CLOSE, Peak, estimated_peaks, highest, peak_of_L, proven_peaks
 from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
-from ilctools.filters import LearningFilter
+from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
 from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
@@ -42,7 +42,7 @@ class Certificate:
 
     problem: Problem  # as stated
     grid: Problem  # at all frequencies at which it needed bounds
-    filter: LearningFilter  # in units of scale, as P is
+    filter: Filter  # in units of scale, as P is
     value: float  # the objective reached
     worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
     # Peaks over all frequencies, without the radius: of the plants that are models, if Q is one,
@@ -345,7 +345,7 @@ def _span(omega):
     return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
 
 
-def check(problem: Problem, L: LearningFilter, grid: Problem | None = None) -> Certificate:
+def check(problem: Problem, L: Filter, grid: Problem | None = None) -> Certificate:
     """Find out what a filter, in units of `scale`, does to the plants of a problem.
 
     `grid` is the problem at further frequencies, too.

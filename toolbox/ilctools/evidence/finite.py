@@ -3,7 +3,6 @@
 Lemma 1 is about signals without end; here the two ends of the trial are included.
 """
 
-import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
@@ -11,14 +10,14 @@ from scipy.sparse import diags_array, eye_array
 
 from ilctools import arguments
 from ilctools.filters import Filter, ZeroPhaseButterworth
-from ilctools.models import impulse_response, sampled_plant
+from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.signals import check_match
 
 LANCZOS = 30  # vectors that the Lanczos iteration keeps
 
 
 def trial_operators(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, L: Filter, samples: int
+    P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int
 ) -> tuple[sparse.LinearOperator, sparse.LinearOperator, sparse.LinearOperator]:
     """P, Q and L as they act on a trial of finite length, each with its adjoint.
 
@@ -71,7 +70,7 @@ def trial_operators(
 
 
 def trial_map(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int = 0
+    P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int = 0
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 
@@ -105,12 +104,7 @@ def trial_map(
 
 
 def trial_norm(
-    P: control.StateSpace,
-    Q: ZeroPhaseButterworth,
-    L: Filter,
-    samples: int,
-    trials: int = 1,
-    rest: int = 0,
+    P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int, trials: int = 1, rest: int = 0
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """2-norm of the trial-to-trial map of the ILC signal on a finite trial.
 

@@ -11,7 +11,7 @@ from scipy.optimize import elementwise
 from scipy.special import expit
 
 from ilctools import arguments
-from ilctools.filters import LearningFilter, check_learning
+from ilctools.filters import Filter, check_learning
 from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
@@ -29,7 +29,7 @@ class WorstCase:
     tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the peak
 
 
-def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
+def worst_case(problem: Problem, L: Filter) -> WorstCase:
     """Find the worst of all plants of a problem for a learning filter.
 
     Parameters

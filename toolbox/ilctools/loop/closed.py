@@ -13,7 +13,7 @@ import control
 import numpy as np
 
 from ilctools import arguments, units
-from ilctools.models import frequency_response, sampled_plant
+from ilctools.models import Model, frequency_response, sampled_plant
 from ilctools.signals import Signals, check_match
 
 
@@ -31,7 +31,7 @@ class CurrentTrialLoop:
         Unit of each input and output of the plant, by name; "" if it is not known.
     """
 
-    plant: control.StateSpace
+    plant: Model
     Ks: np.ndarray
     KL: np.ndarray
     N: np.ndarray
@@ -111,7 +111,7 @@ class CurrentTrialLoop:
         """
         return _from_w_and_d(self)
 
-    def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
+    def around(self, plant: Model) -> control.StateSpace:
         """The loop (19) of the same controller around another plant, if it is stable.
 
         As `closed`, but the first states are those of `plant`, a model of any order. Its signals
@@ -196,7 +196,7 @@ class ClosedLoop:
     (['u[0]'], (2, 1, 1))
     """
 
-    P: control.StateSpace | None = None
+    P: Model | None = None
     Ts: float = None  # of P; once the loop is made, a number, and the next are names
     outputs: Sequence[str] = None
     controls: Sequence[str] = ()

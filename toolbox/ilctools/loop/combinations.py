@@ -14,12 +14,12 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
-from ilctools.models import sampled_plant
+from ilctools.models import Model, sampled_plant
 
 CONDITION = 1e6  # of the response at rest, beyond which errors of the model take over
 
 
-def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, ClosedLoop]:
+def combinations(P: Model, weights=None) -> tuple[np.ndarray, ClosedLoop]:
     """As many combinations T z of outputs as there are inputs, and the loop from w to them.
 
     T = (G' W G)^-1 G' W with G = P(1), the response at rest: if T (r - z) = 0 there, no w leaves

@@ -8,17 +8,16 @@ import reprlib
 import warnings
 from collections.abc import Sequence
 
-import control
 import numpy as np
 from scipy.linalg import LinAlgWarning, block_diag, matrix_balance, schur, solve_discrete_are
 
 from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop
-from ilctools.models import controls_first, sampled_plant, unreachable_modes
+from ilctools.models import Model, controls_first, sampled_plant, unreachable_modes
 
 
 def current_trial_loop(
-    plant: control.StateSpace | control.TransferFunction,
+    plant: Model,
     controls: Sequence[str] | None = None,
     sizes: dict[str, float] | None = None,
     units: dict[str, str] | None = None,

@@ -37,7 +37,7 @@ def synthesise(
     *,
     order=None,
     M_max=0.9,
-    L_max=CHOOSE,
+    L_max: float | str | None = CHOOSE,
     band=None,
     reference=None,
     structure="full",
@@ -45,7 +45,7 @@ def synthesise(
     scale=None,
     uncertainty=None,
     everywhere=False,
-    base=CHOOSE,
+    base: float | str | None = CHOOSE,
     reach=None,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).

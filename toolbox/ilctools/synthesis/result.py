@@ -2,6 +2,7 @@
 
 import reprlib
 from dataclasses import dataclass
+from typing import Any
 
 import control
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
-from ilctools.filters import Filter
+from ilctools.filters import Filter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
@@ -46,7 +47,7 @@ class Synthesis:
         return self.certificate.margins
 
     @property
-    def Q(self):
+    def Q(self) -> ZeroPhaseButterworth | Any:
         """The filter Q, if it is one; else its samples at `omega`."""
         sampled = isinstance(self.problem.lowpass, SampledQ)
         return self.problem.Q if sampled else self.problem.lowpass
