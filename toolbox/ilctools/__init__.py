@@ -55,7 +55,7 @@ def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
         return getattr(import_module(home[name]), name)
 
     names = [*home, *rooms]
-    return get, lambda: sorted([*vars(import_module(package)), *names]), names
+    return get, lambda: names, names
 
 
 ROOMS = ("alternatives", "errors")

@@ -31,17 +31,22 @@ ENDS = {  # whether the first sample stands still before the trial, and the last
 LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time_shifts`
 WIDTH = 14  # points of the grid that `transform` takes for a frequency: one more, a tenth the error
 FARTHEST = 10**6  # samples that a filter may look ahead or back
+HIGHEST = 20  # order of Q: what is higher is a cut-off in the place of the order
 LONGEST = 10**7  # samples that the response of Q may last each way
 
 
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
-    """The Q-filter (43): a Butterworth low-pass filter applied forward and backward in time.
+    """A low-pass filter Q without lag: a Butterworth filter, forward and backward in time.
+
+    |H|^2 of the Butterworth filter H, (43) of the paper; as scipy's and MATLAB's ``filtfilt``:
+    F. Gustafsson, Determining the initial states in forward-backward filtering, IEEE Transactions
+    on Signal Processing 44 (1996) 988-992. Here `ends` says what is beyond the trial.
 
     Attributes
     ----------
     order : int
-        Order n_Q of the Butterworth filter; the zero-phase filter has twice that order.
+        Order of the Butterworth filter, 20 at most; the zero-phase filter has twice that order.
     cutoff : float
         Cut-off frequency, rad/s. There the Butterworth filter is down by 3 dB, the Q-filter,
         which squares its magnitude, by 6 dB.
@@ -76,7 +81,7 @@ class ZeroPhaseButterworth:
             "is normalised, as scipy's, times that"
         )
         cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
-        order = arguments.whole("order", self.order, 1, 100)
+        order = arguments.whole("order", self.order, 1, HIGHEST)
         vars(self).update(order=order, cutoff=cutoff, Ts=Ts)
         if not self._realised():
             end = "low" if cutoff < np.pi / Ts / 2 else "high"
@@ -191,7 +196,10 @@ class LearningOperator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearningFilter:
-    """The learning filter L of (42), (44): a non-causal finite impulse response.
+    """A learning filter L: a finite impulse response that may look ahead, as between two trials.
+
+    L(q) e(p) = sum_k C_k e(p + k), (42) and (44) of the paper; D. A. Bristow, M. Tharayil and A. G.
+    Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
     Attributes
     ----------

@@ -26,8 +26,8 @@ WORDS = {
     "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
     "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",
     "samples": "sigma_max(M) {place}, between the frequencies omega, may reach {value:.4g}: they "
-    "show too little of P: measure at more of them there, or with less noise, or synthesise with "
-    "everywhere=True",
+    "show too little of P (is its phase in rad?): measure at more of them there, or with less "
+    "noise, or synthesise with everywhere=True",
 }
 
 

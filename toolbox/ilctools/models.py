@@ -241,6 +241,8 @@ def refuse_foreign(name: str, value) -> None:
     remedy, models = None, control.StateSpace | control.TransferFunction
     if isinstance(value, signal.lti | signal.dlti):
         remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
+    elif hasattr(value, "cutoff"):
+        remedy = "the plant comes first, as in synthesise(P, Q)"
     elif isinstance(value, control.NonlinearIOSystem) and not isinstance(value, control.LTI):
         remedy = f"linearise it, by control.linearize({name}, x, u)"
     elif isinstance(value, models) and value.dt == 0:

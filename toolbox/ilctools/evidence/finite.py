@@ -72,7 +72,10 @@ def trial_operators(
 def trial_map(
     P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int = 0
 ) -> sparse.LinearOperator:
-    """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
+    """T = Q_N (I - L_N P_N): what a trial of the law makes of v_k - v_inf, with its two ends.
+
+    P_N, Q_N, L_N are matrices on a trial of N samples ("lifted"): D. A. Bristow, M. Tharayil and
+    A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (2006).
 
     v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly. Parameters as
     for :func:`trial_operators`; in the last `rest` samples of each trial, v is held at zero.

@@ -17,7 +17,11 @@ from ilctools.signals import Signals, check_match
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The ILC law (23), v_{k+1} = Q (v_k + L e_k); whatever it is made of is checked here.
+    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k); what it is made of is checked.
+
+    From trial k with the error e_k to the signal v of the next, (23) of the paper; D. A. Bristow,
+    M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems
+    Magazine 26 (2006) 96-114.
 
     With a learning gain a below one, v goes only that share of the way there,
     v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k): slower, but noise in e is averaged.

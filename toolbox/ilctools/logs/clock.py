@@ -12,6 +12,7 @@ from ilctools.errors import LogError
 EXACT = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ
 DRIFT = 0.01  # of Ts: by which the mean step may differ
+BACK = 0.5  # share of steps: a clock that counts down, not a trial that is not numbered
 ROUNDING = 2e-3  # of the mean step: by which rounding may change it
 
 
@@ -23,6 +24,8 @@ def steps_of(table: pd.DataFrame) -> pd.Series:
 def mean_step(table: pd.DataFrame) -> float:
     """The mean step of a clock, lost rows apart, rounded as far as its steps scatter."""
     steps = steps_of(table)
+    if (steps < 0).mean() > BACK:
+        raise LogError("time: the clock runs back within trials: sort the rows, or number trials")
     steps = steps[steps > 0]
     if steps.empty:
         raise LogError("time: the clock stands still, or there is one row: state Ts")

@@ -27,7 +27,13 @@ def current_trial_loop(
     Qo=None,
     Ro=None,
 ) -> CurrentTrialLoop:
-    """Close the loop (16)-(19) around a discrete-time plant.
+    """Close a loop around a plant: state feedback, observer, and estimate of the disturbance.
+
+    The gains are of two linear-quadratic problems, (16)-(29) of the paper. What disturbs the plant
+    is estimated as the input that has the same effect, and taken off: J.-H. She, M. Fang, Y.
+    Ohyama, H. Hashimoto and M. Wu, Improving disturbance-rejection performance based on an
+    equivalent-input-disturbance approach, IEEE Transactions on Industrial Electronics 55 (2008)
+    380-389.
 
     Parameters
     ----------

@@ -41,8 +41,9 @@ def measured_response(
         Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
         Default: from w, if all records have a reference. If this, `gain` or `delay` is given, a
         record of :func:`shake` is estimated like any other.
-    uncertainty : array_like, shape (n,), optional
-        Of a table: the radius at its lines. Default: they are exact.
+    uncertainty : array_like, shape (n,), or float, optional
+        Of a table: the radius at its lines, or one number, relative to sigma_max(P). Default: they
+        are exact.
     gain : array_like, shape (outputs, inputs), optional
         P at rest, P(0), if it is known, in the units of the record. Default: I from w of a
         :class:`CurrentTrialLoop`, whose observer integrates; else not known.

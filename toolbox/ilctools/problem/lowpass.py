@@ -1,9 +1,7 @@
 """Q in whatever form it is known: the Butterworth filter (43), or samples."""
 
-import reprlib
 from dataclasses import dataclass
 
-import control
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -37,11 +35,6 @@ class SampledQ:
 
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
     """The filter Q, or its samples on omega as one."""
-    if isinstance(Q, control.LTI):
-        raise ValueError(
-            f"Q = {reprlib.repr(Q)} is a model, which runs in one direction only: pass "
-            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
-        )
     butterworth = isinstance(Q, ZeroPhaseButterworth)
     samples = Q.frequency_response(omega) if butterworth else Q
     samples = arguments.array("Q", samples, (len(omega),), complex)

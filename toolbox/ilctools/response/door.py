@@ -2,6 +2,7 @@
 
 import reprlib
 from dataclasses import replace
+from numbers import Real
 
 import control
 import numpy as np
@@ -10,7 +11,7 @@ from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
-from ilctools.response.measured import CONFIDENCE, Measured
+from ilctools.response.measured import CONFIDENCE, Measured, radius_of
 from ilctools.response.response import Response
 from ilctools.signals import Signals, check_match
 
@@ -28,6 +29,11 @@ FURTHER = 1.25  # with units that are nearer to each other their Nyquist frequen
 def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
     """What is known of P, which must match Q, if there is one; arguments of `synthesise`."""
     plants = named(P)
+    if isinstance(Q, control.LTI | Real):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} is no filter that runs in both directions: pass "
+            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+        )
     if Ts is None:
         Ts = _period(Q, *plants.values())
     Ts = arguments.sampling_period("Ts", Ts)
@@ -51,11 +57,9 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
     _refuse_other_units("omega", omega, responses, Ts)
     models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
-        uncertainty = arguments.array("uncertainty", uncertainty, omega.shape)
-        if uncertainty.min() < 0:
-            raise ValueError(
-                f"uncertainty reaches {uncertainty.min():.6g}, but a radius cannot be negative"
-            )
+        if np.ndim(uncertainty) == 0:
+            assumptions = (f"the radius is {uncertainty} sigma_max(P), at each frequency",)
+        uncertainty = radius_of(uncertainty, responses[0])
     nominal, *_ = signals.values()
     return Response(
         omega=omega,

@@ -7,6 +7,7 @@ from matplotlib.ticker import NullFormatter
 from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
+from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99  # in a measured response
 
@@ -126,6 +127,18 @@ class Measured:
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
+
+
+def radius_of(uncertainty, P) -> np.ndarray:
+    """The radius at each frequency of P, (n, m, m); one number is in units of sigma_max(P)."""
+    if np.ndim(uncertainty) == 0:
+        what = "a radius at each frequency, or one number, relative to sigma_max(P)"
+        uncertainty = arguments.not_negative("uncertainty", uncertainty, what)
+        uncertainty = uncertainty * largest_singular_values(P)
+    radius = arguments.array("uncertainty", uncertainty, (len(P),))
+    if radius.min() < 0:
+        raise ValueError(f"uncertainty reaches {radius.min():.6g}, but must not be negative")
+    return radius
 
 
 def probability(confidence) -> float:

@@ -21,7 +21,10 @@ UNLIMITED = (-math.inf, math.inf)
 
 
 class Controller:
-    """Observer (16) and state feedback (18), sample by sample as on hardware.
+    """Observer and state feedback of a loop, sample by sample, as on hardware.
+
+    u = N w - K_s x-hat - delta, with the estimates x-hat of the states and delta of the disturbance
+    at the input, (16) and (18) of the paper, see :func:`current_trial_loop`.
 
     `command` and `observe` take loops side by side, too, by signals of shape (..., m).
 

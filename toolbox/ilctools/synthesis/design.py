@@ -48,7 +48,13 @@ def synthesise(
     base: float | str | None = CHOOSE,
     reach=None,
 ) -> Synthesis:
-    """Design the learning filter by convex optimisation, (39) or (45) with (46).
+    """Design a learning filter for a plant, with a certificate of how fast trials converge.
+
+    Of the law v_{k+1} = Q (v_k + L e_k) this is L: it minimises what a trial leaves of the error
+    before, sigma_max(M) with M = Q (I - P L), within bounds on that and on the gain of L. By a
+    formula, where that keeps the bounds, else by convex optimisation, (39) or (45) with (46) of
+    the paper. Such laws are explained in D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey
+    of iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
     one. Above Q's cut-off nothing is asked of L but its bounds: what noise there adds to v, for
@@ -108,9 +114,10 @@ def synthesise(
         What counts as equally large in each channel. Singular values, `L_max` and the certificate
         are then those of the channels divided by it, so that units do not matter. Default: ones;
         the certificate says so if powers of two that differ by eight or more would balance P.
-    uncertainty : array_like, shape (n,), optional
+    uncertainty : array_like, shape (n,), or float, optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
-        the channels in units of `scale`, by a condition that is exact.
+        the channels in units of `scale`, by a condition that is exact. One number is relative to
+        sigma_max(P) of the first plant at each frequency: 0.05 is 5 %.
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
         without a radius by a grid that proves it, on which they are lower by 1e-5; else from the

@@ -18,12 +18,13 @@ SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the sam
 
 @on_one_thread
 def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
-    """Design the one filter of (45) that has a rule: of least gain among those of least peak.
+    """Design the filter of least gain among those for which the largest sigma_max(M) is least.
 
-    Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
-    by orders of magnitude; which of them a solver returns is its own affair. This is the one with
-    the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
-    are too much alike for the solver to tell, to 1e-6 or 1e-4.
+    That largest value, (45) of the paper, is what a trial leaves of the error before, at worst.
+    Without a bound on L, (46), it may be reached by many filters, whose gains differ by orders of
+    magnitude; which of them a solver returns is its own affair. This is the one with the least
+    max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do are too
+    much alike for the solver to tell, to 1e-6 or 1e-4.
 
     Parameters and errors as for :func:`synthesise`, apart from `objective` and `L_max`.
     The result is that of (45) with (46), where `problem.L_max` is that gain.

@@ -7,7 +7,7 @@ from ilctools import arguments
 
 
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
-    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
+    """RMS of the error of each trial: root of the mean over time of e'e, summed over channels.
 
     `e` is a DataArray with the dimensions time and channel, or a dataset of trials or a log with
     reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.

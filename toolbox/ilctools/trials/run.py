@@ -40,7 +40,9 @@ def run_trials(
     v=None,
     reset: bool = True,
 ) -> xr.Dataset:
-    """Simulate trials of the loop (19) under the ILC law (22), (23).
+    """Simulate trials of a loop under a law: w_k = r + v_k, v_{k+1} = Q (v_k + L e_k).
+
+    These are (22) and (23) of the paper, the loop (19); a start is the same in all trials.
 
     All signals are in the units of the loop's plant. Labelled signals, by the columns of a
     DataFrame or a coordinate of a DataArray, are matched by name. Of one channel, signals may have

@@ -67,6 +67,13 @@ class Transfer:
     predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
     uncertainty: np.ndarray  # (m,): RMS by which v may be off
 
+    def __repr__(self):
+        size, share = np.sqrt(np.mean(self.v**2, axis=0)), np.round(self.predicted, 4)
+        return (
+            f"v of {len(self.v)} samples, of RMS {size}, may be off by {self.uncertainty}; F and c "
+            f"predict {share} of v + e in the trials"
+        )
+
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     """Compute the first ILC signal of another task from trials of one task or of several.
