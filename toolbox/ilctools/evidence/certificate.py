@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
+from ilctools.evidence.finite import trial_norm
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
 from ilctools.evidence.peak import CLOSE, Peak, estimated_peaks, highest, peak_of_L, proven_peaks
@@ -18,6 +19,7 @@ from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
+from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
 from ilctools.response.roughness import scattered
 from ilctools.singular_values import TIED, largest_singular_values
@@ -30,9 +32,10 @@ VIOLATION = 1e-9
 COARSE = 0.25
 FINE = 2000  # frequencies of the mean over the band
 PASSED_L = 1.01  # times L_max, between the frequencies
-CHOSEN = "chosen: ", "L = B"  # how what is no assumption begins: in the details
 LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
 DEAF = 1e-3  # of P L, where P passes nothing
+SETTLED = 0.02  # of a disturbance
+SHORTEST, LONGEST = 50, 1000  # samples of a trial; longer ones of several plants take seconds
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -216,6 +219,31 @@ class Certificate:
         of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
+    @property
+    def trial_length(self) -> int:
+        """Samples of a trial with two ends of its own: ten times as long as the plants settle."""
+        models = self.problem.response.models
+        slowest = max(np.abs(P.poles()).max(initial=0) for P in models)
+        settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
+        return int(min(10 * settled + SHORTEST, LONGEST / self.problem.channels))
+
+    @cached_property
+    def norm(self) -> float:
+        """The largest norm of such a trial of the plants; NaN unless they and Q are models."""
+        problem = self.problem
+        if None in problem.response.models or isinstance(problem.lowpass, SampledQ):
+            return np.nan
+        trial = problem.lowpass, self.filter, self.trial_length
+        return max(trial_norm(P, *trial)[0] for P in problem.response.models)
+
+    @property
+    def gains(self) -> str:
+        """The cut-off of Q, the gain of L and the norm of a trial, in words."""
+        text = f"Q's cut-off {self.problem.lowpass.cutoff:.4g} rad/s, sigma_max(L) {self.all_L:.3g}"
+        if np.isnan(self.norm):
+            return text
+        return f"{text}, norm of a trial of {self.trial_length} samples {self.norm:.3g}"
+
     def __repr__(self):
         near = self.grid.omega[self.worst.sigma >= 0.99 * self.rate]
         at = near.min() if near.size else self.highest_peak.omega
@@ -223,12 +251,15 @@ class Certificate:
         lines = [
             f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies{where}; largest "
             f"near {float(f'{at:.2g}'):g} rad/s",
-            self._reached(),
+            *([repr(self.margins)] if self.rate < 1 or self.deaf else []),
+            self.gains,
+            "; ".join([self._reached(), *self._mean()]),
         ]
-        lines += [repr(self.margins)] if self.rate < 1 or self.deaf else []
-        texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
-        lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
-        return "\n".join([*lines, *self._mean(), *self._against()])
+        chosen, rests_on = self.problem.chosen, self.assumptions[len(self.problem.chosen) :]
+        known = [text for text in rests_on if not text.startswith("assumed: ")]
+        lines += ["chosen: " + "; ".join(chosen).replace("chosen: ", "")] if chosen else []
+        lines += ["; ".join([*known, "assumptions: .certificate.details"])] if rests_on else []
+        return "\n".join([*lines, *self._against()])
 
     @property
     def details(self) -> str:
@@ -257,8 +288,7 @@ class Certificate:
             trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
             return [
                 f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this reference, "
-                "without noise, and without what the two ends of a trial add, which counts if it "
-                "is not long against the settling time"
+                "without noise and the ends of a trial, which count if it is not long"
             ]
         if problem.objective.kind != "sum" or np.isnan(self.mean_M):
             return []

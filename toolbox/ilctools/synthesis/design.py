@@ -9,7 +9,6 @@ from ilctools import arguments
 from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
-from ilctools.evidence.finite import trial_norm
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem import defaults
 from ilctools.problem.defaults import CHOOSE
@@ -24,8 +23,6 @@ from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
-SETTLED = 0.02  # of a disturbance: a trial of ten times that long has two ends of its own
-SHORTEST, LONGEST = 50, 1000  # samples of that trial; longer ones of several plants take seconds
 
 
 @on_one_thread
@@ -211,34 +208,15 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
     for cutoff in (highest, highest / 2):
         Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
         design = designed(pose(P, Q, base=base, **known, **choices), base)
-        norm, samples = norm_of_trial(design)
-        if not norm >= 1:
+        if not design.certificate.norm >= 1:
             break
-    text = (
-        f"Q with cut-off {Q.cutoff:.4g} rad/s, chosen by how far P reaches: sigma_max(L) is "
-        f"{design.certificate.all_L:.3g}"
-    )
-    if np.isfinite(norm):
-        text += f", the norm of a trial of {samples} samples {norm:.3g}"
-    if norm >= 1:
-        warnings.warn(f"{text}: its ends may grow from trial to trial", stacklevel=4)
+    text = f"chosen: Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
     problem = replace(design.problem, chosen=(text, *design.problem.chosen))
-    return replace(design, certificate=replace(design.certificate, problem=problem))
-
-
-def norm_of_trial(design: Synthesis) -> tuple[float, int]:
-    """The largest norm of a trial of the plants, ten times as long as the slowest of them settles.
-
-    NaN unless all are models.
-    """
-    models, certificate = design.problem.response.models, design.certificate  # in units of scale
-    if None in models:
-        return np.nan, 0
-    slowest = max(np.abs(P.poles()).max(initial=0) for P in models)
-    settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
-    samples = int(min(10 * settled + SHORTEST, LONGEST / design.problem.channels))
-    L = certificate.filter
-    return max(trial_norm(P, design.Q, L, samples)[0] for P in models), samples
+    design = replace(design, certificate=replace(design.certificate, problem=problem))
+    if design.certificate.norm >= 1:
+        gains = design.certificate.gains
+        warnings.warn(f"{text}: {gains}: its ends may grow from trial to trial", stacklevel=4)
+    return design
 
 
 def designed(problem: Problem, base) -> Synthesis:

@@ -1,5 +1,6 @@
 """What a certificate says, of one plant, of several, of a radius and of another plant."""
 
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -59,14 +60,18 @@ def codes(findings):
 def test_a_certificate_in_print(good):
     """Of one plant, and of tables that end early."""
     assert good.failures == good.warnings == []
-    first, limits, margins, mean = f"{good}".splitlines()
+    first, margins, gains, limits, *_ = f"{good}".splitlines()
     assert first == (
         f"rate at most {good.rate:.4f}, at all frequencies, proven; largest near 0.041 rad/s"
     )
     assert limits.startswith("limited by M_max = 0.9, L_max = 50 (51")
+    limits, mean = limits.split("; ")
     assert limits.endswith("order = 10 (P lags by 17 samples at the cut-off), diagonal")
     assert margins == repr(good.margins)
     assert mean.endswith(f"over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s")
+    assert re.fullmatch(
+        r"Q's cut-off .*, sigma_max\(L\) .*, norm of a trial of .* samples .*", gains
+    )
     omega = np.geomspace(1e-2, 2.0, 50)
     P = np.stack([frequency_response(model, omega) for model in MODELS])
     asked = {"order": 4, "L_max": 5.0, "band": (1e-2, 0.1), "structure": "full", "M_max": 0.99}
