@@ -1,6 +1,8 @@
 """An editor completes and checks what `rodlib` gives: stubs and annotations of its doors."""
 
 import ast
+import doctest
+import inspect
 import os
 import shutil
 import subprocess
@@ -9,6 +11,8 @@ from pathlib import Path
 
 import pytest
 import stubs
+from test_examples import DOORS, door
+from test_readme import BLOCK, ROOT
 
 import ilctools
 import rodlib
@@ -62,11 +66,12 @@ def check(tmp_path_factory):
     return run
 
 
-def test_the_snippet_of_the_readme_is_typed(check):
-    from test_readme import SNIPPET
-
-    assert "All checks passed" in check(SNIPPET)
-    assert "All checks passed" in check(TYPED)
+def test_what_is_documented_is_typed(check):
+    """The examples of the documents and of each door."""
+    paths = [ROOT / name for name in ("README.md", "docs/guide.md", "docs/questions.md")]
+    documents = [block for path in paths for block in BLOCK.findall(path.read_text("utf-8"))]
+    examples = [doctest.script_from_examples(inspect.getdoc(door(name))) for name in DOORS]
+    assert "All checks passed" in check("\n".join([TYPED, *documents, *examples]))
 
 
 @pytest.mark.parametrize("name", WRONG)

@@ -4,6 +4,7 @@ import reprlib
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -70,7 +71,7 @@ class Law:
     """
 
     Q: ZeroPhaseButterworth
-    L: LearningOperator | None
+    L: LearningOperator | Any
     rest: int = 0
     gain: float = 1.0
     limits: dict[str, tuple[float, ...]] | None = None

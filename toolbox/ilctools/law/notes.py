@@ -147,7 +147,8 @@ def law_of(trials: xr.Dataset) -> Law | None:
     >>> Q = zero_phase_butterworth(2, 60.0, loop.Ts)
     >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts), rest=3)
     >>> run = record(Axis(), loop, law, np.ones((50, 1)), trials=1)
-    >>> law_of(run).rest
+    >>> noted = law_of(run)
+    >>> noted and noted.rest
     3
     """
     arguments.instance("trials", trials, xr.Dataset)
@@ -195,8 +196,8 @@ def save_law(path, law: Law, note: str = "") -> None:
     >>> from ilctools import Law, LearningFilter, load_law, save_law, zero_phase_butterworth
     >>> law = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter([[[0.5]]], Ts=1.0))
     >>> save_law("law.json", law, note="tried on Monday")
-    >>> load_law("law.json").L.coefficients
-    array([[[0.5]]])
+    >>> load_law("law.json").Q == law.Q
+    True
     """
     path = arguments.path("path", path)
     arguments.instance("L", arguments.instance("law", law, Law).L, Filter)

@@ -196,7 +196,7 @@ class ClosedLoop:
     (['u[0]'], (2, 1, 1))
     """
 
-    P: Model | None = None
+    P: Model = None
     Ts: float = None  # of P; once the loop is made, a number, and the next are names
     outputs: Sequence[str] = None
     controls: Sequence[str] = ()
