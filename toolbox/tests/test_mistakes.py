@@ -71,6 +71,12 @@ def test_omega_in_another_unit_is_refused(unit, factor, end, each):
         pose(frequency_response(plant, omega), np.exp(-omega), omega, plant.dt)
 
 
+def test_one_number_as_uncertainty_is_relative_to_P():
+    design = synthesise(P, Q, OMEGA, uncertainty=0.05)
+    np.testing.assert_allclose(design.problem.radius, 0.05 * np.abs(P.ravel()), rtol=1e-12)
+    assert "the radius is 0.05 sigma_max(P)" in str(design) and str(design).count("\n") == 5
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_omega_in_Hz_is_refused_of_noisy_samples_too(seed):
     """And a noisy table in rad/s that ends where one in Hz would is none."""

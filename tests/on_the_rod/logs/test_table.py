@@ -86,6 +86,7 @@ def read(folder, lines, **more):
         (["t;level", "0;1"], r"outputs\['h'\] = 'level' must be .* titles are \['t;level'\]"),
         (["t,level", *ROWS[:5], *ROWS[6:]], "row 5 is 1 s after the row before, where Ts = 0.5 s"),
         (["t,level"], "clock stands still, or there is"),
+        (["t,level", "2,1", "1,2", "0,1"], "clock runs back within trials: sort"),
         ([], "No columns to parse"),
         (["PK\x03\x04"], "= 'level' must be"),
     ],

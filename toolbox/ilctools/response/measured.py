@@ -132,8 +132,8 @@ class Measured:
 def radius_of(uncertainty, P) -> np.ndarray:
     """The radius at each frequency of P, (n, m, m); one number is in units of sigma_max(P)."""
     if np.ndim(uncertainty) == 0:
-        what = "a radius at each frequency, or one number, relative to sigma_max(P)"
-        uncertainty = arguments.not_negative("uncertainty", uncertainty, what)
+        what = "a radius at each frequency, or one number below 1, relative to sigma_max(P)"
+        uncertainty = arguments.number("uncertainty", uncertainty, what, high=1, least=0)
         uncertainty = uncertainty * largest_singular_values(P)
     radius = arguments.array("uncertainty", uncertainty, (len(P),))
     if radius.min() < 0:
