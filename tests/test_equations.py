@@ -10,12 +10,9 @@ import warnings
 from contextlib import redirect_stdout
 
 import matplotlib.pyplot as plt
-import numpy as np
 import pytest
 from books import BOOKS, cells, code, prose
 
-from ilctools import synthesise, zero_phase_butterworth
-from rodlib import paper_choices, paper_loop
 from rodlib.paper import ROOT
 
 PAPER = [name for name in BOOKS if name < "06"]
@@ -29,8 +26,9 @@ def shown(name):
 
 
 def words(name):
-    """How many, without formulas and rows of tables."""
-    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|^\|.*", "", prose(name), flags=re.DOTALL | re.MULTILINE)
+    """How many, without formulas, rows of tables and the code of an exercise's answer."""
+    noted = r"```.*?```|\$\$.*?\$\$|\$[^$]*\$|^\|.*"
+    text = re.sub(noted, "", prose(name), flags=re.DOTALL | re.MULTILINE)
     return len(text.split())
 
 
@@ -131,20 +129,16 @@ def test_what_the_notebooks_suggest_to_try_comes_out(
     assert not missing
 
 
-def test_what_notebook_3_suggests_to_try_comes_out():
-    """By the synthesis alone: what the notebook asks of CVXPY takes ten times as long."""
-    suggestion = prose("03-ilc-synthesis").partition("**Try**")[2]
-    assert "`L_max = 20.0`" in suggestion and "a third less noise" in suggestion
-    assert "from 0.205 to 0.476" in suggestion
-    loop, Q, means, noise = paper_loop(), zero_phase_butterworth(2, 0.1, 1.0), [], []
-    omega, grid = np.geomspace(1e-4, np.pi, 1000), np.linspace(0, np.pi, 4000)
-    for L_max in (50.0, 20.0):
-        design = synthesise(loop, Q, omega, **paper_choices(L_max=L_max))
-        means.append(round(design.certificate.mean_M, 3))
-        passed = Q.frequency_response(grid)[:, None, None] * design.filter.frequency_response(grid)
-        noise.append(np.sqrt((np.abs(passed) ** 2).sum(axis=(1, 2)).mean()))
-    assert means == [0.205, 0.476]
-    assert noise[1] / noise[0] == pytest.approx(2 / 3, abs=0.03)
+ANSWER = re.compile(r"<details>.*?```python\n(.*?)```\n+```text\n(.*?)```.*?</details>", re.DOTALL)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_the_answer_to_the_exercise_prints_what_it_says(name, monkeypatch, capsys):
+    """By itself, as a student runs it; notebook 3's is what the notebook suggests to try."""
+    monkeypatch.chdir(ROOT / "notebooks")
+    ((answer, printed),) = ANSWER.findall(prose(name).partition("**Exercise**")[2])
+    exec(answer, {})
+    assert capsys.readouterr().out == printed
 
 
 def test_a_bound_that_no_filter_keeps_ends_in_a_sentence(tmp_path, monkeypatch):
