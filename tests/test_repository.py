@@ -42,7 +42,7 @@ def test_each_row_and_each_figure_leads_to_the_cell_that_made_it():
     assert len(links) > len(ROWS) and {*links} <= {*sources}
     figures = dict(re.findall(r"^- \[([^]]+)\]\(\1\.png\): .*=([^)]+)\)$", page, re.M))
     for (_, cell), source in sources.items():
-        for name in re.findall(r'\bsave\(\w+, "([^"]+)", caption\)', source):
+        for name in re.findall(ledger.SAVED, source):
             assert figures.pop(name) == cell
     assert not figures
 
@@ -90,7 +90,7 @@ def test_every_saved_figure_is_tracked_and_used():
     saved = set()
     for name in BOOKS:
         source = "\n".join(code(name))
-        saved |= set(re.findall(r"\bsave\(\w+, \"([^\"]+)\", caption\)", source))
+        saved |= set(re.findall(ledger.SAVED, source))
         # nor does one read what another wrote
         assert not re.search(r"build/|figures/[a-z0-9]+\.|read_csv", source), name
     png, pdf = ({p.stem for p in ROOT.glob(f"figures/*.{e}")} for e in ("png", "pdf"))

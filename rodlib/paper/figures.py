@@ -18,7 +18,7 @@ WIDE = (7.2, 3.2)  # inches, one row of axes
 TALL = (7.2, 5.0)  # inches, two rows of axes
 
 FRAMES, SECONDS = 100, 8  # of an animation: it moves smoothly, in less than a megabyte
-STILL = 0.4  # share of an animation after which its picture is taken
+STILL = 0.2  # share of an animation after which its picture is taken
 
 # As in the paper: black for the first, gray for the second of a pair, dashed for variants.
 BLACK = {"color": "black"}
@@ -103,7 +103,7 @@ def _animate(figure, path, moves):
         moves(share)
         figure.canvas.draw()
         frames.append(Image.fromarray(np.array(figure.canvas.buffer_rgba())).convert("RGB"))
-    timing = {"duration": 1000 * SECONDS // FRAMES, "loop": 0, "lossless": True}
+    timing = {"duration": 1000 * SECONDS // FRAMES, "loop": 0, "lossless": True, "method": 4}
     with replacing(path) as temporary:
         frames[0].save(temporary, "webp", save_all=True, append_images=frames[1:], **timing)
 

@@ -55,7 +55,7 @@ NEGLIGIBLE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
-SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
+SAVED = r'\bsave\(\w+, "([^"]+)", caption(?:, moves)?\)'  # how a notebook saves a figure
 LINK = "- [{0}]({0}.png): [{1}](../notebooks/{1}.ipynb#cell-id={2})\n"  # of a figure, on the page
 MANIFEST = """  - file: figures/{0}.png
     comment: "{3}; notebooks/{1}.ipynb, cell {2}"
