@@ -72,7 +72,7 @@ def test_coefficients_cannot_be_changed_behind_the_filter():
         L.coefficients[0, 0, 0] = 2
 
 
-@pytest.mark.parametrize(("order", "cutoff"), [(100, 1e-3), (1, 1e-12), (100, 3.1384)])
+@pytest.mark.parametrize(("order", "cutoff"), [(20, 3e-5), (1, 1e-12), (20, 3.14155)])
 def test_where_rounding_would_change_the_filter_it_is_refused(order, cutoff):
     with pytest.raises(
         ValueError, match=f"^cutoff = {cutoff} rad/s is too {'low' if cutoff < 1 else 'high'}"
@@ -82,7 +82,7 @@ def test_where_rounding_would_change_the_filter_it_is_refused(order, cutoff):
 
 def test_filters_at_the_limits_of_rounding():
     assert zero_phase_butterworth(2, 1e-3, 1.0).frequency_response(0.0) == pytest.approx(1)
-    steep = zero_phase_butterworth(100, np.float64(1.0), np.int32(1))
+    steep = zero_phase_butterworth(20, np.float64(1.0), np.int32(1))
     assert steep.frequency_response(1.0) == pytest.approx(0.5)
     assert isinstance(steep.Ts, float)
 
