@@ -181,7 +181,7 @@ def test_designs_are_compared_without_an_error():
         ),
         (r"P has shape \(\), .* \(omega, outputs, inputs\)", lambda: synthesise(5, Q)),
         ("^P holds values of type object", lambda: synthesise({"a": 1}, Q)),
-        (r"^Q = 5 is no filter .* zero_phase_butterworth\(order,", lambda: synthesise(MODEL, 5)),
+        (r"^Q = 5 is no filter, .* zero_phase_butterworth\(order,", lambda: synthesise(MODEL, 5)),
         (r"^P = Zero.*the plant comes first, as in synth", lambda: synthesise(Q, MODEL)),
         (
             r"^uncertainty = -0.1 must be a radius",

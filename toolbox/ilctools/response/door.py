@@ -31,7 +31,7 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
     plants = named(P)
     if isinstance(Q, control.LTI | Real):
         raise ValueError(
-            f"Q = {reprlib.repr(Q)} is no filter that runs in both directions: pass "
+            f"Q = {reprlib.repr(Q)} is no filter, or one that runs in one direction only: pass "
             "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
         )
     if Ts is None:
