@@ -12,7 +12,6 @@ from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth
 from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
 from ilctools.loop.closed import Loop, same_loop
-from ilctools.response.response import Response
 from ilctools.signals import Signals, check_match
 
 
@@ -76,7 +75,7 @@ class Law:
     gain: float = 1.0
     limits: dict[str, tuple[float, ...]] | None = None
     loop: Loop | None = None
-    region: Response | None = field(default=None, repr=False)
+    region: Any = field(default=None, repr=False)
     labels: Signals | None = field(default=None, repr=False)
 
     def __post_init__(self):
