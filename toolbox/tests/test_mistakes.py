@@ -1,21 +1,38 @@
-"""What went wrong in silence, or with a raw error: each is said where the fact is known."""
+"""What one gets wrong at first, in silence or with a raw error: it is said, or does no harm."""
 
 import pickle
 import re
-import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from plants import LOOPS, RestartingModel, bump, random_stable, sigma_of_M, tanks
+from paper import paper_loop
+from plants import (
+    LOOPS,
+    RestartingModel,
+    altered,
+    axes,
+    bump,
+    furnace,
+    random_stable,
+    sigma_of_M,
+    tanks,
+)
+from scipy import signal
 
 from ilctools import (
     ClosedLoop,
+    Controller,
     Law,
     LearningFilter,
+    convergence,
+    current_trial_loop,
     frequency_response,
+    load_law,
+    load_log,
     measured_response,
     multisine,
     record,
@@ -23,13 +40,15 @@ from ilctools import (
     rms,
     run_trials,
     save_law,
+    save_log,
     shake,
     state_sequence,
     synthesise,
+    transfer,
     trial_norm,
     zero_phase_butterworth,
 )
-from ilctools.law.notes import loop_note
+from ilctools.law.notes import loop_note, with_law
 from ilctools.problem.defaults import lead
 from ilctools.problem.pose import pose
 
@@ -39,14 +58,177 @@ Q = zero_phase_butterworth(2, 60.0, TS)
 OMEGA = np.geomspace(1, np.pi / TS, 300)
 P = frequency_response(MODEL, OMEGA)
 LAG = control.ss(0.5, 0.5, 1, 0, 1.0, inputs=["w"], outputs=["x"])
-LOOP, TANKS = ClosedLoop(LAG), LOOPS["tanks"]()
+LOOP, CURRENT, TANKS, PAPER = (
+    ClosedLoop(LAG),
+    current_trial_loop(LAG),
+    LOOPS["tanks"](),
+    paper_loop(),
+)
 LAW = Law(zero_phase_butterworth(2, 0.3, 1.0), LearningFilter([[[0.3]]], 1.0))
+IN_MS, CAUSAL = replace(LAW.L, Ts=TS), 1 / (1 + 1j * OMEGA / 60)
+LAW_OF_TWO = replace(LAW, L=LearningFilter(0.3 * np.eye(2)[:, :, None], 1.0))
+MOVE, ZERO = 2 * np.sin(np.linspace(0, np.pi, 60)) ** 2, np.zeros((5, 2))
+TWO = np.stack([MOVE, 3 * MOVE], axis=1)
+LOG = with_law(run_trials(CURRENT, LAW, MOVE, None, 4), LAW.bound_to(CURRENT))
+AXES, TURNED = ClosedLoop(axes(), units={"x": "m"}), axes()[["y", "x"], :]
+OF_AXES = synthesise(AXES, zero_phase_butterworth(2, 1.0, 0.1), order=3, L_max=None)
+SCIPY_MODEL = signal.dlti([[0.9]], [[0.1]], [[1]], [[0]], dt=1.0)
+SHAKING = multisine(LOOP, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.3)
+LIMITED = replace(LAW_OF_TWO, limits={"Q1": (0, 1)})
+BOUND = LIMITED.bound_to(PAPER)
+
+
+class Stuck(RestartingModel):
+    def read(self):
+        return np.array([0.37])
+
+
+def labelled(*names):
+    return pd.DataFrame(TWO, columns=names)
+
+
+REFUSED = {  # what the error says, and a call
+    # units, and what is exchanged
+    "(?s:.*)omega is in Hz": lambda: convergence(P, Q, IN_MS, OMEGA / (2 * np.pi)),
+    "omega holds": lambda: synthesise(LOOP, OMEGA, Q),
+    "omega, .* must be a row of increasing": lambda: synthesise(
+        P, OMEGA, Q.frequency_response(OMEGA), TS
+    ),
+    "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
+    # what is no plant, no filter, no log
+    "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
+    "Q = Trans.* both directions: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
+    r"Q = 5 is no filter .* zero_phase_butterworth\(order,": lambda: synthesise(MODEL, 5),
+    "Q holds values of type <U4": lambda: synthesise(MODEL, "lowp"),
+    r"Q has shape \(1, 6\)": lambda: synthesise(MODEL, Q.sections),
+    "P holds values of type <U7": lambda: synthesise("rod.csv", Q),
+    "P holds values of type object": lambda: synthesise({"a": 1}, Q),
+    r"P has shape \(\), .* \(omega, outputs, inputs\)": lambda: synthesise(5, Q),
+    "P = (?s:.*)to_ss": lambda: synthesise(SCIPY_MODEL, Q),
+    "plant = (?s:.*)to_ss": lambda: current_trial_loop(SCIPY_MODEL),
+    "plant = (?s:.*)linearize": lambda: current_trial_loop(
+        control.nlsys(None, lambda t, x, u, p: u, dt=1.0)
+    ),
+    "L = .* pass L.filter": lambda: Law(LAW.Q, OF_AXES),
+    "log = .*(?s:.*) read_table": lambda: measured_response(labelled("T1", "T2")),
+    "log = 'log.csv' .*load_log": lambda: measured_response("log.csv"),
+    r"log.omega = \[0.0, .{,80}\.\.\.\] must be": lambda: measured_response(
+        control.frd(np.ones(200), np.arange(200.0))
+    ),
+    r"log\.y of x never moved: is it connected": lambda: measured_response(
+        shake(Stuck(LAG), LOOP, SHAKING)
+    ),
+    r"e has no reference and y, but \['y'\]: pass one of them": lambda: rms(
+        xr.Dataset({"y": (("time", "channel"), ZERO)})
+    ),
+    # sizes
+    "order = 10 .* 5 frequencies": lambda: synthesise(P[:5], Q, OMEGA[:5], TS, order=10),
+    "order = 40 must be .*, from 1 to 20": lambda: zero_phase_butterworth(40, 2.0, TS),
+    "uncertainty = -0.1 must be a radius": lambda: synthesise(P, Q, OMEGA, uncertainty=-0.1),
+    "amplitude = ": lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2),
+    "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(
+        TANKS, 0.01, 1.0, [1, 1, 1], 1.2
+    ),
+    "Qs must be symmetric .{,300}$": lambda: current_trial_loop(furnace(), Qs=-np.eye(31)),
+    "forcing has shape": lambda: state_sequence(np.eye(2), np.ones((4, 1)), [0.0, 0.0]),
+    "A has shape": lambda: state_sequence(np.ones((2, 1)), np.ones((4, 1)), [0]),
+    "options = .*'db'.* control.singular_values_plot": lambda: synthesise(LAG, LAW.Q).plot(db=True),
+    "(?s:.*)infeasible(?s:.*)units, signs and the order": lambda: synthesise(
+        [LAG, 1000 * LAG], LAW.Q, order=3, L_max=None
+    ),
+    # names, units, times
+    "reference .*T1.*y1": lambda: run_trials(PAPER, LAW_OF_TWO, labelled("T1", "T2")),
+    r"reference has shape \(60,\)": lambda: run_trials(PAPER, LAW_OF_TWO, MOVE),
+    r"design.labels = \['x', 'y', .* P.labels = \['y', 'x'": lambda: OF_AXES.check(TURNED),
+    r"P\[0\].labels = .* P\[1\].labels = \['y', 'x'": lambda: synthesise(
+        [axes(), TURNED], OF_AXES.Q
+    ),
+    "loop.labels = .* plant.labels": lambda: run_trials(AXES, OF_AXES.law(), TWO, plant=TURNED),
+    "law.labels = .*, loop.labels = .* in the same order": lambda: run_trials(
+        ClosedLoop(TURNED), OF_AXES.law(), TWO
+    ),
+    "P.labels": lambda: ClosedLoop(axes(), outputs=["y", "x"]),
+    r"design.units\['x'\] = 'm', P.units\['x'\] = 'mm'": lambda: OF_AXES.check(
+        ClosedLoop(axes(), units={"x": "mm"})
+    ),
+    "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s": lambda: transfer(
+        LOG.assign_coords(time=0.5 * LOG.time), MOVE
+    ),
+    # more outputs than inputs
+    "P has 1 inputs and 2 outputs.* combinations": lambda: synthesise(axes()[:, 0], OF_AXES.Q),
+    r"P\[1\] has 2 inputs and 3 outputs.* combinations": lambda: synthesise(
+        [np.ones((300, 2, 2)), np.ones((300, 3, 2))], Q, OMEGA
+    ),
+    "log has 2 inputs and 3 outputs.* combinations": lambda: measured_response(
+        control.frd(np.ones((3, 2, 300)), OMEGA)
+    ),
+    r"controls = \['set x'\] .*2 outputs.* combinations": lambda: current_trial_loop(axes()[:, 0]),
+    # a loop that is not ours
+    "P = None: then Ts and outputs": lambda: ClosedLoop(),
+    "P.Ts = 1.0, loop.Ts = 0.2": lambda: ClosedLoop(LAG, 0.2),
+    "P is unstable": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
+    "P.dt = 0": lambda: ClosedLoop(control.ss(-1.0, 1, 1, 0)),
+    "P has 2 inputs and 1 outputs": lambda: ClosedLoop(axes()[0, :]),
+    r"outputs = \['a'\]": lambda: ClosedLoop(axes(), outputs=["a"]),
+    r"outputs = \['a', 'a'\]": lambda: ClosedLoop(axes(), outputs=["a", "a"]),
+    r"controls = \['a'\]": lambda: ClosedLoop(axes(), controls=["a"]),
+    "units is about": lambda: ClosedLoop(LAG, units={"z": "mm"}),
+    "loop has no P": lambda: run_trials(ClosedLoop(Ts=1.0, outputs=["x"]), LAW, MOVE),
+    "disturbance is not zero": lambda: run_trials(
+        ClosedLoop(LAG, disturbances=["d"]), LAW, MOVE, MOVE
+    ),
+    # a law
+    "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
+    r"limits\['Q1'\]": lambda: replace(LAW, limits={"Q1": (1, 0)}),
+    r"limits\['pump A'\]\[2\] = 0": lambda: replace(LAW, limits={"pump A": (0, 1, 0)}),
+    "limits is about": lambda: replace(BOUND, limits={"fan": (0, 1)}),
+    "rest = 3 ": lambda: replace(LAW_OF_TWO, rest=3).next(ZERO[:3], ZERO[:3]),
+    "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),
+    "u = None": lambda: BOUND.next(ZERO, ZERO),
+    "e holds the signals": lambda: BOUND.next(TWO, labelled("a", "c")),
+    r"v or e holds the signals \['b', 'a'\], .*bound_to": lambda: LAW_OF_TWO.next(
+        labelled("b", "a"), TWO
+    ),
+    "Q.Ts = 1.0, loop.Ts = 2.0": lambda: LIMITED.bound_to(ClosedLoop(None, 2.0, ["y1", "y2"])),
+    "L.channels = 1, loop.channels = 2": lambda: LAW.bound_to(PAPER),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_an_error_names_the_argument(words):
+    with pytest.raises(ValueError, match=f"^{words}"):
+        REFUSED[words]()
+
+
+LATE = MOVE[20:]  # from the middle of a move
+SHARE = 100 * np.mean(MOVE > 1)
+SAID = {  # what a warning says, and simulated trials that cannot work
+    "predicts 0.*-1 in x came; .*exchanged or reversed": lambda: run_trials(
+        AXES, OF_AXES.law(), TWO, None, 3, plant=altered(axes(), B=-1.0)
+    ),
+    "predicts 0.*-0.96 in x came; .*exchanged or reversed": lambda: run_trials(
+        AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
+        plant=control.ss(TURNED, outputs=["x", "y"]),
+    ),
+    f"^the reference starts {LATE[0]:.3g} in x from where trials do": lambda: run_trials(
+        LOOP, LAW, LATE, None, 2
+    ),
+    f"^commands were beyond the limits of w in {SHARE:.1f}%.*cut off": lambda: run_trials(
+        LOOP, replace(LAW, limits={"w": (-1.0, 1.0)}), MOVE, None, 1
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", SAID)
+def test_simulated_trials_that_cannot_work_are_warned_of(words):
+    with pytest.warns(UserWarning, match=words) as seen:
+        SAID[words]()
+    assert len(seen) == 1 and seen[0].filename == __file__
 
 
 @pytest.mark.parametrize("wrong", [P.conj(), np.abs(P)], ids=["exp(-j omega t)", "without phase"])
 def test_a_phase_that_no_stable_plant_has_is_said(wrong):
-    with warnings.catch_warnings(action="error"):
-        synthesise(P, Q, OMEGA)
+    synthesise(P, Q, OMEGA)
     with pytest.warns(UserWarning, match=r"the phase of P leads .* pass P.conj\(\)"):
         synthesise(wrong, Q, OMEGA)
 
@@ -87,16 +269,6 @@ def test_omega_in_Hz_is_refused_of_noisy_samples_too(seed):
     omega = np.geomspace(1, 0.5 / TS, 300)
     lag = frequency_response(control.ss(0.5, 0.5, 1, 0, TS), omega)
     pose(lag * (1 + noise[0] + 1j * noise[1]), Q, omega)
-
-
-def test_a_stuck_sensor_makes_no_response():
-    class Stuck(RestartingModel):
-        def read(self):
-            return np.array([0.37])
-
-    shaking = multisine(LOOP, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.3)
-    with pytest.raises(ValueError, match=r"^log\.y of x never moved: is it connected"):
-        measured_response(shake(Stuck(LAG), LOOP, shaking))
 
 
 def test_the_error_is_what_reference_and_outputs_say():
@@ -153,9 +325,7 @@ def test_units_that_differ_are_a_hint_to_scale():
 
 def test_what_holds_a_model_can_be_sent_to_another_process():
     design = synthesise(LOOP, LAW.Q)
-    shaking = multisine(LOOP, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.3)
-    rig = RestartingModel(LAG, noise=0.01)
-    measured = measured_response(shake(rig, LOOP, shaking))
+    measured = measured_response(shake(RestartingModel(LAG, noise=0.01), LOOP, SHAKING))
     for thing in (design, design.law().bound_to(LOOP), LOOP, measured, tanks()):
         other = pickle.loads(pickle.dumps(thing))
         assert repr(other) == repr(thing) and type(other) is type(thing)
@@ -168,33 +338,6 @@ def test_designs_are_compared_without_an_error():
     design = synthesise(LOOP, LAW.Q)
     assert design == design and design != synthesise(LOOP, LAW.Q)
     assert len({design, design}) == 1
-
-
-@pytest.mark.parametrize(
-    ("words", "call"),
-    [
-        ("forcing has shape", lambda: state_sequence(np.eye(2), np.ones((4, 1)), [0.0, 0.0])),
-        ("A has shape", lambda: state_sequence(np.ones((2, 1)), np.ones((4, 1)), [0])),
-        (
-            "options = .*'db'.* control.singular_values_plot",
-            lambda: synthesise(LAG, LAW.Q).plot(db=True),
-        ),
-        (r"P has shape \(\), .* \(omega, outputs, inputs\)", lambda: synthesise(5, Q)),
-        ("^P holds values of type object", lambda: synthesise({"a": 1}, Q)),
-        (r"^Q = 5 is no filter, .* zero_phase_butterworth\(order,", lambda: synthesise(MODEL, 5)),
-        (r"^P = Zero.*the plant comes first, as in synth", lambda: synthesise(Q, MODEL)),
-        (
-            r"^uncertainty = -0.1 must be a radius",
-            lambda: synthesise(P, Q, OMEGA, uncertainty=-0.1),
-        ),
-        (r"^order = 40 must be .*, from 1 to 20", lambda: zero_phase_butterworth(40, 2.0, TS)),
-        ("^Q holds values of type <U4", lambda: synthesise(MODEL, "lowp")),
-        (r"^Q has shape \(1, 6\)", lambda: synthesise(MODEL, Q.sections)),
-    ],
-)
-def test_an_error_says_what_is_wrong_with_the_argument(words, call):
-    with pytest.raises(ValueError, match=words):
-        call()
 
 
 def test_a_reference_with_times_of_another_period_is_refused():
@@ -210,13 +353,6 @@ def test_a_reference_with_times_of_another_period_is_refused():
     run_trials(LOOP, LAW, table.set_axis(2 * times))
 
 
-def test_rms_of_a_record_without_reference_says_what_it_lacks():
-    with pytest.raises(
-        ValueError, match=r"e has no reference and y, but \['y'\]: pass one of them"
-    ):
-        rms(xr.Dataset({"y": (("time", "channel"), np.ones((9, 1)))}))
-
-
 def test_a_loop_that_does_not_explain_its_log_is_named():
     log = run_trials(LOOP, LAW, bump(60, [1.0]))
     assert "WARNING" not in repr(replay(log))
@@ -228,3 +364,44 @@ def test_a_loop_that_does_not_explain_its_log_is_named():
 def test_a_file_that_cannot_be_written_is_called_by_its_name(tmp_path):
     with pytest.raises(FileNotFoundError, match=re.escape(str(tmp_path / "no" / "law.json"))):
         save_law(tmp_path / "no" / "law.json", LAW)
+
+
+def test_labelled_columns_are_matched_by_name():
+    frame = pd.DataFrame(TWO[:, ::-1], columns=["y2", "y1"])
+    both = run_trials(PAPER, LAW_OF_TWO, TWO, None, 2)
+    turned = both.reference.isel(channel=[1, 0])
+    for reference in (frame, turned, pd.DataFrame(TWO)):
+        assert run_trials(PAPER, LAW_OF_TWO, reference, None, 2).identical(both)
+    names = PAPER.disturbances
+    d = pd.DataFrame({name: [i] * 60 for i, name in enumerate(names)})
+    plain = run_trials(PAPER, LAW_OF_TWO, TWO, d.values, 2)
+    d = d[names[::-1]]
+    assert run_trials(PAPER, LAW_OF_TWO, TWO, d, 2, v=0 * frame).identical(plain)
+
+
+def test_one_channel_needs_no_axis():
+    column, runs = MOVE[:, None], []
+    for move in (MOVE, column):
+        runs.append(run_trials(CURRENT, LAW, move, None, 2, v=move))
+        rig = RestartingModel(LAG)
+        runs.append(record(rig, CURRENT, LAW, move, trials=2, v=move))
+    assert runs[0].identical(runs[2]) and runs[1].identical(runs[3])
+    following = LAW.next(MOVE, 0.5 * MOVE)
+    np.testing.assert_array_equal(following[:, None], LAW.next(column, 0.5 * column))
+    assert Controller(CURRENT).step([0.0], [1.0]).shape == (1,)
+
+
+def test_a_log_and_a_law_are_distinguished(tmp_path):
+    log, law = tmp_path / "log.csv", tmp_path / "law.json"
+    save_log(LOG, log)
+    save_law(law, LAW)
+    with pytest.raises(ValueError, match="law_of"):
+        load_law(log)
+    with pytest.raises(ValueError, match="load_law"):
+        load_log(law)
+
+
+def test_where_there_is_nothing_to_learn_nothing_is_said():
+    """Neither of zeros nor of a v that stays zero: all warnings are errors here."""
+    run = run_trials(CURRENT, LAW, np.zeros(60), trials=4)
+    assert not run.e.any() and not run.v.any()

@@ -86,33 +86,6 @@ def test_a_law_is_bound_to_one_loop():
         plant = control.ss(*control.ssdata(loop.plant), Ts, inputs=inputs, outputs=names)
         with pytest.raises(ValueError, match="another loop"):
             bound.bound_to(replace(loop, plant=plant))
-    with pytest.raises(ValueError, match="channels"):
-        Law(Q, ONE).bound_to(loop)
-
-
-REFUSED = {  # what the error names, and a call
-    "Q.Ts = 1.0, L.Ts = 2.0": lambda: Law(Q, LearningFilter(np.ones((2, 2, 1)), 2.0)),
-    r"limits\['Q1'\]": lambda: Law(Q, TWO, limits={"Q1": (1, 0)}),
-    "limits is about": lambda: Law(Q, TWO, limits={"fan": (0, 1)}, loop=paper_loop()),
-    "rest = 3 ": lambda: Law(Q, TWO, rest=3).next(ZERO[:3], ZERO[:3]),
-    "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),
-    "u = None": lambda: LIMITED.bound_to(paper_loop()).next(ZERO, ZERO),
-    "e holds the signals": lambda: LIMITED.bound_to(paper_loop()).next(
-        ZERO, pd.DataFrame(ZERO, columns=["a", "c"])
-    ),
-    r"v or e holds the signals \['b', 'a'\], .*bound_to": lambda: Law(Q, TWO).next(
-        pd.DataFrame(ZERO, columns=["b", "a"]), ZERO
-    ),
-    "loop.Ts = 2.0": lambda: LIMITED.bound_to(ClosedLoop(None, 2.0, ["y1", "y2"])),
-}
-ZERO = np.zeros((5, 2))
-LIMITED = Law(Q, TWO, limits={"Q1": (0, 1)})
-
-
-@pytest.mark.parametrize("words", REFUSED)
-def test_what_is_wrong_is_refused(words):
-    with pytest.raises(ValueError, match=words):
-        REFUSED[words]()
 
 
 def test_a_design_has_its_law(loop, omega):

@@ -244,8 +244,6 @@ def test_actuators_are_those_of_the_commands_of_the_loop():
     np.testing.assert_array_equal(actuators.lowest, [-1, -np.inf, 0])
     np.testing.assert_array_equal(actuators.highest, [1, np.inf, 5])
     np.testing.assert_array_equal(actuators.step, [1, np.inf, np.inf])
-    with pytest.raises(ValueError, match=r"limits\['pump A'\]\[2\] = 0"):
-        Law(Q, None, limits={"pump A": (0, 1, 0)}, loop=LOOP)
 
 
 @given(COMMANDS, st.floats(-3, 3), st.floats(0.1, 4), st.floats(0.01, 2))

