@@ -41,7 +41,7 @@ def sigma_of_M(omega, P, Q, L):
     """sigma_max(Q (I - P L)) by the book; each a model, a filter, or samples on omega."""
     P, Q, L = (
         X if isinstance(X, np.ndarray)
-        else frequency_response(X, omega) if isinstance(X, control.StateSpace)
+        else frequency_response(X, omega) if isinstance(X, control.LTI)
         else X.frequency_response(omega)
         for X in (P, Q, L)
     )  # fmt: skip

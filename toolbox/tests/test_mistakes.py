@@ -90,6 +90,8 @@ def labelled(*names):
 REFUSED = {  # what the error says, and a call
     # units, and what is exchanged
     "(?s:.*)omega is in Hz": lambda: convergence(P, Q, IN_MS, OMEGA / (2 * np.pi)),
+    "omega must be given: P is an array": lambda: convergence(P, Q, IN_MS),
+    "omega must be given, as Q": lambda: synthesise(LOOP, np.ones(60)),
     "omega holds": lambda: synthesise(LOOP, OMEGA, Q),
     "omega, .* must be a row of increasing": lambda: synthesise(
         P, OMEGA, Q.frequency_response(OMEGA), TS

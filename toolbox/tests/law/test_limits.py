@@ -1,5 +1,7 @@
 """Learning within what the actuators follow, on a stage, three tanks and a furnace with a delay."""
 
+from dataclasses import replace
+
 import control
 import cvxpy as cp
 import numpy as np
@@ -13,7 +15,6 @@ from scipy.optimize import lsq_linear
 from ilctools import (
     ClosedLoop,
     Law,
-    LearningFilter,
     NormOptimal,
     convergence,
     rate,
@@ -33,55 +34,56 @@ def move(samples, heights):
 
 
 def case_of(name, cutoff, samples, heights, limits):
-    """A loop, a law that converges, a reference, and limits that it exceeds."""
+    """A law that converges for a loop, and a reference that exceeds its limits."""
     loop = LOOPS[name]()
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     omega = np.geomspace(1e-3, 1, 100) * np.pi / loop.Ts
     bounds = {"M_max": 0.95, "L_max": 20.0, "band": (omega[0], cutoff / 3)}
     bounds["structure"] = "diagonal"
     L = synthesise(loop, Q, omega, order=16, **bounds).filter
-    return loop, Q, L, move(samples, heights), limits
+    return Law(Q, L, limits=limits, loop=loop), move(samples, heights)
 
 
 TANKS = case_of("tanks", 0.4, 60, [3.0, 2.0, 4.0], dict.fromkeys(PUMPS, (-10.0, 25.0)))
-ON_W = ClosedLoop(TANKS[0].P)
+LOOP, Q = TANKS[0].loop, TANKS[0].Q
+ON_W = replace(TANKS[0], loop=ClosedLoop(LOOP.P), limits={"w1": (0.0, 2.5), "w3": (-0.5, 4.2)})
 CASES = {
     "stage": case_of("stage", 300.0, 120, [2.0], {"F": (-9.0, 9.0, 400.0)}),
     "tanks": TANKS,
     "furnace": case_of("furnace", 0.5, 100, [4.0], {"valve": (0.0, 1.2)}),
-    "not ours": (ON_W, *TANKS[1:4], {"w1": (0.0, 2.5), "w3": (-0.5, 4.2)}),
+    "not ours": (ON_W, TANKS[1]),
 }
 EACH = pytest.mark.parametrize("case", CASES)
 
 
-def to_commands(loop):
-    """From w to the commands."""
-    if isinstance(loop, ClosedLoop):
-        return control.ss([], [], [], np.eye(len(loop.outputs)), loop.Ts)
+def to_commands(loop, samples):
+    """The matrix from w to the commands."""
     P = loop.P
-    return control.ss(P.A, P.B, -loop.Ks, loop.N, loop.Ts)
+    if isinstance(loop, ClosedLoop):
+        return np.eye(samples * P.ninputs)
+    return lifted(control.ss(P.A, P.B, -loop.Ks, loop.N, loop.Ts), samples)
 
 
 def trial(case):
-    """The signals v, e, u of a trial that was cut off, and the limits as arrays."""
-    loop, Q, L, reference, limits = CASES[case]
-    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=1)
-    u = (run.reference + run.v if isinstance(loop, ClosedLoop) else run.u).values[0]
-    return run.v.values[0], run.e.values[0], u, Actuators.of(limits, loop)
+    """The signals v, e, u of a trial that was cut off."""
+    law, reference = CASES[case]
+    run = run_trials(law.loop, law, reference, trials=1)
+    u = run.reference + run.v if isinstance(law.loop, ClosedLoop) else run.u
+    return run.v.values[0], run.e.values[0], u.values[0]
 
 
 @EACH
 def test_it_is_the_nearest_of_all_that_can_be_followed(case):
     """By CVXPY, on whole-trial matrices: no states, another solver."""
-    rest, (loop, Q, L, _, limits) = 5, CASES[case]
-    v, e, u, actuators = trial(case)
+    law, rest, (v, e, u) = CASES[case][0], 5, trial(case)
+    loop, actuators = law.loop, law.actuators
     applied = actuators.follow(u)
     assert np.abs(applied - u).max() > 0.01 * np.abs(u).max()
-    following = Law(Q, L, rest=rest, limits=limits, loop=loop).next(v, e, u)
+    following = replace(law, rest=rest).next(v, e, u)
     v_applied = loop.realised(v, u, applied)
-    target = Law(Q, L, rest=rest).next(v_applied, e)
+    target = replace(law, rest=rest, limits=None).next(v_applied, e)
     (samples, m), active = v.shape, len(v) - rest
-    P, S = lifted(loop.P, samples), lifted(to_commands(loop), samples)
+    P, S = lifted(loop.P, samples), to_commands(loop, samples)
 
     def commands(v):
         change = S @ (v - v_applied.ravel())
@@ -107,13 +109,12 @@ def test_it_is_the_nearest_of_all_that_can_be_followed(case):
 
 @pytest.mark.parametrize("case", ["tanks", "not ours"])
 def test_where_nothing_is_cut_off_it_is_the_law(case):
-    loop, Q, L, reference, limits = CASES[case]
-    wide = dict.fromkeys(limits, (-1e3, 1e3))
-    v, e, u, _ = trial(case)
-    plain = Law(Q, L, rest=3, gain=0.7)
-    limited = Law(Q, L, rest=3, gain=0.7, limits=wide, loop=loop)
+    law, reference = CASES[case]
+    v, e, u = trial(case)
+    limited = replace(law, rest=3, gain=0.7, limits=dict.fromkeys(law.limits, (-1e3, 1e3)))
+    plain = replace(limited, limits=None)
     np.testing.assert_array_equal(limited.next(v, e, u), plain.next(v, e))
-    run, same = (run_trials(loop, law, reference, trials=3) for law in (plain, limited))
+    run, same = (run_trials(law.loop, each, reference, trials=3) for each in (plain, limited))
     for name in run:
         np.testing.assert_array_equal(same[name], run[name])
 
@@ -121,15 +122,16 @@ def test_where_nothing_is_cut_off_it_is_the_law(case):
 @pytest.mark.parametrize("case", ["tanks", "stage"])
 def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
     """Around another plant, with noise and a disturbance."""
-    loop, Q, _, reference, limits = CASES[case]
+    law, reference = CASES[case]
+    loop, law = law.loop, replace(law, L=None)
     random, other = np.random.default_rng(1), altered(loop.plant, A=0.98, B=1.1)
     disturbance = 0.1 * random.standard_normal((len(reference), len(loop.disturbances)))
     noise = 0.01 * random.standard_normal((1, *reference.shape))
     trials = {"disturbance": disturbance, "plant": other, "noise": noise, "trials": 1}
-    cut = run_trials(loop, Law(Q, None, limits=limits), reference, **trials)
+    cut = run_trials(loop, law, reference, **trials)
     assert np.abs(cut.applied - cut.u).max() > 0
     v = loop.realised(cut.v[0], cut.u[0].values, cut.applied[0].values)
-    free = run_trials(loop, Law(Q, None), reference, **trials, v=v)
+    free = run_trials(loop, replace(law, limits=None), reference, **trials, v=v)
     for name, expected in (("y", cut.y), ("u", cut.applied), ("delta", cut.delta)):
         size = np.abs(cut.y if name == "y" else cut.u).max().item()
         np.testing.assert_allclose(free[name], expected, atol=1e-9 * size)
@@ -137,10 +139,10 @@ def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
 
 @pytest.mark.parametrize("case", ["stage", "tanks", "furnace"])
 def test_an_informed_observer_estimates_no_disturbance_where_there_is_none(case):
-    loop, Q, L, reference, limits = CASES[case]
-    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=4)
-    actuators, size = Actuators.of(limits, loop), np.abs(run.u).max().item()
-    assert not actuators.can(run.u.values[0]) and actuators.can(run.applied.values)
+    law, reference = CASES[case]
+    run, can = run_trials(law.loop, law, reference, trials=4), law.actuators.can
+    size = np.abs(run.u).max().item()
+    assert not can(run.u.values[0]) and can(run.applied.values)
     assert np.abs(run.delta).max() < 1e-8 * size
     # the model is exact, so the next trials keep what was asked of them
     np.testing.assert_allclose(run.applied[1:], run.u[1:], atol=1e-7 * size)
@@ -150,15 +152,12 @@ def test_an_informed_observer_estimates_no_disturbance_where_there_is_none(case)
 @given(st.integers(0, 10**6), st.floats(0.01, 10))
 def test_no_two_signals_get_more_distant(seed, size):
     """In the norm of ||P v||^2 + weight ||v||^2, which the proof needs."""
-    loop, Q, _, _, limits = CASES["tanks"]
-    P, S = lifted(loop.P, 60), lifted(to_commands(loop), 60)
-    still = LearningFilter(np.zeros((3, 3, 1)), loop.Ts)  # so that Q v is the target
-    law = Law(Q, still, limits=limits, loop=loop)
+    P, S = lifted(LOOP.P, 60), to_commands(LOOP, 60)
     steps = np.random.default_rng(seed).standard_normal((2, 60, 3))
     pair = size * np.cumsum(steps, axis=1)
     commands = [(S @ v.ravel()).reshape(v.shape) for v in pair]
     nearest = [
-        projected(loop, law.actuators, v, u, Q.apply(v), WEIGHT, 0)
+        projected(LOOP, TANKS[0].actuators, v, u, Q.apply(v), WEIGHT, 0)
         for v, u in zip(pair, commands, strict=True)
     ]
 
@@ -171,7 +170,7 @@ def test_no_two_signals_get_more_distant(seed, size):
 
 def test_the_rate_in_the_metric_is_a_generalised_eigenvalue_of_the_worst_plant():
     """The first plant has the metric."""
-    loop, Q, L, _, _ = CASES["tanks"]
+    loop, L = LOOP, TANKS[0].L
     omega, one, gains = np.geomspace(1e-3, 1, 40) * np.pi / loop.Ts, np.eye(3), (1.0, 0.5, 1.4)
     P, q = loop.frequency_response(omega), Q.frequency_response(omega)[:, None, None]
     W = P.conj().swapaxes(1, 2) @ P + WEIGHT * one
@@ -190,23 +189,22 @@ def test_the_rate_in_the_metric_is_a_generalised_eigenvalue_of_the_worst_plant()
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1():
-    loop, Q, L, _, limits = CASES["tanks"]
+    law = TANKS[0]
     reference = move(300, [3.0, 2.0, 4.0])  # at rest for long before and after
-    gamma = rate(loop, Q, L, np.geomspace(1e-3, 1, 400) * np.pi / loop.Ts).gamma
-    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=10)
+    gamma = rate(LOOP, Q, law.L, np.geomspace(1e-3, 1, 400) * np.pi / law.Ts).gamma
+    run = run_trials(LOOP, law, reference, trials=10)
     moved = np.sqrt((run.y.diff("trial") ** 2).sum(["time", "channel"])).values[1:]
     assert np.all(moved[1:8] < gamma * moved[:7]) and moved[7] > 1e-6
 
 
 def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat():
     """The best by scipy, in the commands: there the limits are a box, the matrix is the plant's."""
-    loop, _, _, reference, limits = CASES["furnace"]
-    samples = len(reference)
+    law, reference = CASES["furnace"]
+    loop, samples = law.loop, len(reference)
     L, Q = NormOptimal(loop.P, 1e-3, samples), zero_phase_butterworth(1, 3.1415, 1.0)
-    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=8)
-    box = limits["valve"]
+    run = run_trials(loop, replace(law, Q=Q, L=L), reference, trials=8)
     G = lifted(loop.plant[:, loop.controls], samples)
-    best = 2 * lsq_linear(G, reference.ravel(), box, tol=1e-12).cost
+    best = 2 * lsq_linear(G, reference.ravel(), law.limits["valve"], tol=1e-12).cost
     power = (run.e.values**2).sum(axis=(1, 2))
     assert np.all(np.diff(power[1:]) < 1e-6 * power[0])  # the first was cut off
     assert best * (1 - 1e-9) <= power[-1] < best + 2e-4 * power[0]
@@ -214,27 +212,25 @@ def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat():
 
 def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
     """Where v is zero, it cannot: here the reference itself needs more than there is."""
-    loop, Q, L, _, _ = CASES["furnace"]
-    law = Law(Q, L, rest=30, limits={"valve": (0.0, 0.6)})
-    run = run_trials(loop, law, np.full((80, 1), 4.0), trials=3)  # it needs 1
+    law = replace(CASES["furnace"][0], rest=30, limits={"valve": (0.0, 0.6)})
+    run = run_trials(law.loop, law, np.full((80, 1), 4.0), trials=3)  # it needs 1
     assert not run.v.values[:, -30:].any()
     assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()
     np.testing.assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
 
 
 def test_without_a_model_commands_are_cut_off():
-    _, Q, L, reference, limits = CASES["not ours"]
-    named = ClosedLoop(Ts=ON_W.Ts, outputs=ON_W.outputs)
-    e, zero = 0.2 * reference, np.zeros_like(reference)
-    v = Law(Q, L, rest=4, limits=limits, loop=named).next(zero, e, reference)
+    reference = TANKS[1]
+    law = replace(ON_W, rest=4, loop=ClosedLoop(Ts=ON_W.Ts, outputs=ON_W.outputs))
+    e = 0.2 * reference
+    v = law.next(0 * reference, e, reference)
     low, high = [0, -np.inf, -0.5], [2.5, np.inf, 4.2]
     first = np.clip(reference, low, high) - reference  # what trial 1 had for v
-    w = np.clip(reference + Law(Q, L, rest=4).next(first, e), low, high)
+    w = np.clip(reference + replace(law, limits=None).next(first, e), low, high)
     np.testing.assert_allclose(v[:-4], (w - reference)[:-4], atol=1e-12)
     assert not v[-4:].any()
 
 
-LOOP, Q = TANKS[:2]
 COMMANDS = st.lists(st.tuples(*[st.floats(-9, 9)] * 3), min_size=1, max_size=20)
 
 
