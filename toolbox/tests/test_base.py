@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import STAGE_WITH_MODES as STAGE
-from plants import as_matrix, lifted
+from plants import as_matrix, lifted, sigma_of_M
 
 from ilctools import (
     ClosedLoop,
@@ -33,11 +33,23 @@ from ilctools.problem.problem import K_MAX
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.statement import statement
 
-Q = zero_phase_butterworth(2, 150.0, 1e-3)
+LOOP, Q = ClosedLoop(STAGE), zero_phase_butterworth(2, 150.0, 1e-3)
 COUPLED = control.ss(
     [[0.9, 0.1, 0], [-0.1, 0.8, 0.1], [0, 0, 0.5]], [[0.1, 0], [0, 0.2], [0.3, 0.1]],
     [[1, 0, 0.2], [0, 1, 0]], 0, 1.0,
 )  # fmt: skip
+
+
+def acts_as(L, dense):
+    """On a trial of two channels, and the transpose as its transpose."""
+    for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
+        found = as_matrix(apply, len(dense) // 2, 2)
+        np.testing.assert_allclose(found, matrix, rtol=0, atol=1e-12)
+
+
+def errors_of(L, reference, trials, **how):
+    """RMS in trials on the stage."""
+    return rms(run_trials(LOOP, Law(Q, L), reference, trials=trials, **how).e).values
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +69,7 @@ def test_on_a_trial_it_is_the_matrix_and_so_is_its_transpose():
     units = np.tile(scale, N)
     B, P_N = RegularisedInverse(COUPLED, 0.3, scale), lifted(COUPLED, N)
     dense = np.linalg.solve(P_N.T @ P_N + 0.09 * np.eye(2 * N), P_N.T)
-    dense = units[:, None] * dense / units
-    for apply, matrix in ((B.apply, dense), (B.apply_transposed, dense.T)):
-        np.testing.assert_allclose(as_matrix(apply, N, 2), matrix, rtol=0, atol=1e-12)
+    acts_as(B, units[:, None] * dense / units)
 
 
 @pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
@@ -74,9 +84,7 @@ def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, o
             at = p + first + k
             if 0 <= at < N or (at < 0 and before) or (at >= N and after):
                 dense[p, :, np.clip(at, 0, N - 1)] += L.coefficients[:, :, k]
-    dense = dense.reshape(2 * N, 2 * N)
-    for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
-        np.testing.assert_allclose(as_matrix(apply, N, 2), matrix, rtol=0, atol=1e-11)
+    acts_as(L, dense.reshape(2 * N, 2 * N))
     shifts = np.exp(0.7j * np.arange(first, first + order))
     np.testing.assert_allclose(L(np.exp(0.7j)), L.coefficients @ shifts, atol=1e-11)
 
@@ -105,27 +113,22 @@ def test_proven_peaks_are_those_of_a_dense_grid(seed, b, finite):
     L = base @ LearningFilter(random.standard_normal((1, 1, 5)) / 2, 1.0, first=-2)
     low = zero_phase_butterworth(2, 0.5, 1.0)
     omega = np.linspace(0, np.pi, 4001)
-    response = L.frequency_response(omega)
-    M = low.frequency_response(omega) * np.abs(
-        1 - (frequency_response(P, omega) @ response)[:, 0, 0]
-    )
-    for (peak, _), seen in ((peak_of_M(P, L, low), M), (peak_of_L(L), np.abs(response))):
+    M, gain = sigma_of_M(omega, P, low, L), np.abs(L.frequency_response(omega))
+    for (peak, _), seen in ((peak_of_M(P, L, low), M), (peak_of_L(L), gain)):
         assert seen.max() * (1 - 1e-12) <= peak <= seen.max() * (1 + 1e-4)
 
 
 def test_by_default_a_resonant_plant_is_learned_as_by_norm_optimal_learning_with_a_promise():
     reference = np.sin(np.pi * np.clip(np.arange(600) / 400, 0, 1)) ** 4
     noise = 1e-3 * np.random.default_rng(0).standard_normal((10, 600, 1))
-    designs = {name: synthesise(STAGE, Q, base=name) for name in (None, "auto")}
-    errors = {}
-    for name, L in {
-        **{name: design.filter for name, design in designs.items()},
-        "norm-optimal": NormOptimal(STAGE, 1e-4 * abs(STAGE(1)) ** 2, 600),
-    }.items():
-        trials = run_trials(ClosedLoop(STAGE), Law(Q, L), reference, trials=10, noise=noise)
-        errors[name] = rms(trials.e).values[1:].mean()
-    assert errors["auto"] < 1.1 * errors["norm-optimal"] and errors["auto"] < errors[None]
-    certificate = designs["auto"].certificate
+    designs = [synthesise(STAGE, Q, base=base) for base in (None, "auto")]
+    weight = 1e-4 * abs(STAGE(1)) ** 2
+    plain, auto, norm_optimal = (
+        errors_of(L, reference, 10, noise=noise)[1:].mean()
+        for L in (*(design.filter for design in designs), NormOptimal(STAGE, weight, 600))
+    )
+    assert auto < 1.1 * norm_optimal and auto < plain
+    certificate = designs[1].certificate
     assert certificate.proven and certificate.rate < 0.5
     assert "L = B K" in certificate.details
 
@@ -151,12 +154,11 @@ def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_fil
     with_base, finite
 ):
     reference = np.sin(2 * np.pi * np.arange(600) / 600) ** 3
-    loop, asked = ClosedLoop(STAGE), {"trials": 12, "reset": False}
     with pytest.raises(ValueError, match="reach"):
-        run_trials(loop, with_base.law(), reference, **asked)
-    errors = rms(run_trials(loop, finite.law(), reference, **asked).e).values
+        errors_of(with_base.filter, reference, 12, reset=False)
+    errors = errors_of(finite.filter, reference, 12, reset=False)
     omega = np.fft.rfftfreq(600, 1e-3 / (2 * np.pi))
-    P, L = (f(omega)[:, 0, 0] for f in (loop.frequency_response, finite.filter.frequency_response))
+    P, L = (f(omega)[:, 0, 0] for f in (LOOP.frequency_response, finite.filter.frequency_response))
     low = Q.frequency_response(omega)
     left = (1 - low) * (1 - P) / (1 - low * (1 - P * L))  # of the periodic motion
     limit = np.fft.irfft(left * np.fft.rfft(reference), 600)
@@ -167,11 +169,8 @@ def test_files_keep_it_and_old_filters_keep_their_bytes(tmp_path, with_base, fin
     old, new = tmp_path / "old.json", tmp_path / "new.json"
     save_law(old, Law(Q, LearningFilter([[[0.5]]], 1e-3)))
     assert '"rodlib law 1"' in old.read_text() and "first" not in old.read_text()
-    for law in (
-        with_base.law(),
-        finite.law(),
-        Law(Q, LearningFilter([[[0.5, 1.0]]], 1e-3, first=0)),
-    ):
+    of_two = LearningFilter([[[0.5, 1.0]]], 1e-3, first=0)
+    for law in (with_base.law(), finite.law(), Law(Q, of_two)):
         save_law(new, law)
         assert '"rodlib law 2"' in new.read_text()
         assert text_of(law_notes(load_law(new))) == text_of(law_notes(law))
@@ -210,11 +209,8 @@ def test_K_does_not_leave_the_error_to_the_end_of_a_trial(with_base, finite):
     reference = np.sin(np.pi * np.arange(300) / 400) ** 4  # it is cut off while it moves
     L = with_base.filter
     assert (L.K.ends, finite.filter.ends) == ("hold-last", "zero")
-    errors = [
-        rms(run_trials(ClosedLoop(STAGE), Law(Q, each), reference, trials=4).e).values[-1]
-        for each in (L, replace(L, K=replace(L.K, ends="zero")))
-    ]
-    assert errors[0] < 0.9 * errors[1]
+    zero = replace(L, K=replace(L.K, ends="zero"))
+    assert errors_of(L, reference, 4)[-1] < 0.9 * errors_of(zero, reference, 4)[-1]
 
 
 @pytest.mark.parametrize("as_models", [True, False])

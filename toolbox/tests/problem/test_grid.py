@@ -93,7 +93,6 @@ def test_the_worst_of_the_assumed_size_is_what_the_certificate_says():
     worst = -np.linalg.norm(P[-1], 2) * Vh.conj().T @ U.conj().T
     M = Q.frequency_response([beyond.omega])[0] * (np.eye(2) - worst @ L)
     assert np.linalg.norm(M, 2) == pytest.approx(beyond.sigma, rel=1e-9)
-    assert f"above 1.2 rad/s: {beyond.sigma:.4f} at most, assumed" in design.certificate.details
 
 
 def test_where_Q_passes_too_much_above_the_table_it_is_said():
