@@ -31,6 +31,12 @@ def lag(pole=0.9, gain=1.0, Ts=1.0):
     return control.ss(pole, gain * (1 - pole), 1, 0, Ts)
 
 
+def lags(gain=1.0, pole=0.9):
+    """Two lags with coupling."""
+    A = [[pole, 0.05], [0.02, pole - 0.1]]
+    return control.ss(A, gain * np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
+
+
 def response_of(coefficients, omega):
     """sum over k of C_k z^k, k = 1, 2, ..., at a sampling period of one."""
     z = np.exp(1j * np.outer(omega, np.arange(1, 1 + coefficients.shape[-1])))

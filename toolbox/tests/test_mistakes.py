@@ -28,6 +28,7 @@ from ilctools import (
     Controller,
     Law,
     LearningFilter,
+    converged_noise,
     convergence,
     current_trial_loop,
     frequency_response,
@@ -45,6 +46,7 @@ from ilctools import (
     state_sequence,
     synthesise,
     transfer,
+    trial_noise,
     trial_norm,
     zero_phase_butterworth,
 )
@@ -179,7 +181,16 @@ REFUSED = {  # what the error says, and a call
     "disturbance is not zero": lambda: run_trials(
         ClosedLoop(LAG, disturbances=["d"]), LAW, MOVE, MOVE
     ),
+    # noise
+    "sensor_psd": lambda: trial_noise(CURRENT, [0.1, 1.0], -1.0),
+    "disturbance_psd": lambda: trial_noise(CURRENT, [0.1, 1.0], 1.0, 1.0),
+    "loop = ": lambda: trial_noise(LOOP, [1.0], 1.0),
+    "law does not converge": lambda: converged_noise(
+        trial_noise(CURRENT, [0.1, 1.0], 1.0),
+        replace(LAW, L=replace(LAW.L, coefficients=[[[-1.0]]])),
+    ),
     # a law
+    "Q = samples": lambda: synthesise(P, Q.frequency_response(OMEGA), OMEGA, TS).law(),
     "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
     r"limits\['Q1'\]": lambda: replace(LAW, limits={"Q1": (1, 0)}),
     r"limits\['pump A'\]\[2\] = 0": lambda: replace(LAW, limits={"pump A": (0, 1, 0)}),

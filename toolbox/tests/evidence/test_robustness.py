@@ -40,7 +40,7 @@ def reach(problem, L, i):
     """What the Delta of rank one does that turns rho L x against M x, for an x found by scipy."""
     response = L.frequency_response(problem.omega)[i]
     values = []
-    for P in problem.plants[:, i]:
+    for k, P in enumerate(problem.plants[:, i]):
         M = problem.Q[i] * (np.eye(len(P)) - P @ response)
 
         def weighted(alpha, M=M):
@@ -57,8 +57,7 @@ def reach(problem, L, i):
         y = response @ x
         turned = -np.sign(problem.Q[i]) * M @ x / np.linalg.norm(M @ x)
         Delta = problem.radius[i] * np.outer(turned, y.conj()) / np.linalg.norm(y)
-        shifted = problem.Q[i] * (np.eye(len(P)) - (P + Delta) @ response)
-        values.append(np.linalg.norm(shifted, 2))
+        values.append(sigma_max(problem, L, i, k, Delta))
     return max(values)
 
 

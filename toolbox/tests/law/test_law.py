@@ -93,9 +93,6 @@ def test_a_design_has_its_law(loop, omega):
     design = synthesise(loop, Q, omega, **paper_choices())
     law = design.law(rest=4, gain=0.5, limits=limits)
     assert (law.Q, law.L, law.rest, law.gain) == (Q, design.filter, 4, 0.5)
-    of_samples = synthesise(loop, Q.frequency_response(omega), omega, 1.0, **paper_choices())
-    with pytest.raises(ValueError, match="Q = samples"):
-        of_samples.law()
 
 
 def test_an_L_for_trials_of_another_length_is_refused_before_any_is_run():

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import bump, furnace
+from plants import bump, furnace, lags
 
 from ilctools import current_trial_loop, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
@@ -13,9 +13,7 @@ from ilctools.problem.pose import pose
 OMEGA = np.geomspace(1e-3, np.pi, 60)
 Q = zero_phase_butterworth(2, 0.3, 1.0)
 BAND = (1e-3, 0.1)
-# two lags with coupling, in discrete time
-A = np.array([[0.9, 0.05], [0.02, 0.8]])
-COUPLED = control.ss(A, [[0.1, 0.02], [0.01, 0.2]], np.eye(2), 0, 1.0)
+COUPLED = lags()
 SAMPLES = frequency_response(COUPLED, OMEGA)
 FRD = control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA)
 LAG = control.ss(0.5, 1, 1, 0, 2.0)
