@@ -53,7 +53,6 @@ CASES = {
     "furnace": case_of("furnace", 0.5, 100, [4.0], {"valve": (0.0, 1.2)}),
     "not ours": (ON_W, TANKS[1]),
 }
-EACH = pytest.mark.parametrize("case", CASES)
 
 
 def to_commands(loop, samples):
@@ -72,7 +71,7 @@ def trial(case):
     return run.v.values[0], run.e.values[0], u.values[0]
 
 
-@EACH
+@pytest.mark.parametrize("case", CASES)
 def test_it_is_the_nearest_of_all_that_can_be_followed(case):
     """By CVXPY, on whole-trial matrices: no states, another solver."""
     law, rest, (v, e, u) = CASES[case][0], 5, trial(case)

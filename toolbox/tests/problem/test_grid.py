@@ -13,8 +13,6 @@ from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 
 DENSE = np.linspace(0, np.pi, 4001)
-WARNINGS = ("the filter leaves", ".*may reach", ".*between the frequencies omega")
-EXPECTED = pytest.mark.filterwarnings(*(f"ignore:{text}" for text in WARNINGS))
 
 
 def table(seed, m, n, last):
@@ -55,7 +53,9 @@ def test_no_filter_that_keeps_the_bound_on_the_grid_passes_it_between(m, order, 
         assert highest <= 7 * (1 + CLOSE) if coarse else 7 / np.cos(np.pi / 8)
 
 
-@EXPECTED
+@pytest.mark.filterwarnings(
+    "ignore:the filter leaves", "ignore:.*may reach", "ignore:.*between the frequencies omega"
+)
 @settings(max_examples=5)
 @given(st.sampled_from([1, 2]), st.sampled_from([8, 20]), st.floats(0.6, 2.8), st.integers(0, 999))
 def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):

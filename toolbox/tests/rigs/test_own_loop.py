@@ -23,19 +23,12 @@ from ilctools.logs.replay import replay
 P, REFERENCE = axes(), bump(150, [2.0, -1.0])
 LAW = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter(0.1 * np.eye(2)[..., None], 0.1))
 KNOWN = ClosedLoop(P)
+UNNAMED = control.ss(P, inputs=["w1", "w2"])
 NAMED = ClosedLoop(Ts=0.1, outputs=["x", "y"], units={"x": "mm", "y": "mm"})
 
 
 def response(w):
     return control.forced_response(P, inputs=w.T).outputs.T
-
-
-def sampled(noise=0.0):
-    return RestartingModel(P, noise=noise)
-
-
-def unnamed(noise=0.0):
-    return RestartingModel(control.ss(P, inputs=["w1", "w2"]), noise=noise)
 
 
 def test_a_loop_that_is_known_by_p_is_simulated():
@@ -53,10 +46,10 @@ def test_a_loop_that_is_known_by_p_is_simulated():
     np.testing.assert_allclose(other.y[0], 2 * run.y[0])
 
 
-@pytest.mark.parametrize(("loop", "make"), [(KNOWN, sampled), (NAMED, unnamed)])
-def test_it_learns_on_its_rig_as_in_the_simulation(loop, make, tmp_path):
-    path, rig = tmp_path / "log.csv", make()
-    log = record(rig, loop, LAW, REFERENCE, trials=3, path=path)
+@pytest.mark.parametrize(("loop", "model"), [(KNOWN, P), (NAMED, UNNAMED)])
+def test_it_learns_on_its_rig_as_in_the_simulation(loop, model, tmp_path):
+    path = tmp_path / "log.csv"
+    log = record(RestartingModel(model), loop, LAW, REFERENCE, trials=3, path=path)
     run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
     for name in ("v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-12)
@@ -64,7 +57,7 @@ def test_it_learns_on_its_rig_as_in_the_simulation(loop, make, tmp_path):
     assert load_log(path).identical(log)
     noted = loop_of(log)
     assert (noted.Ts, noted.outputs, noted.units) == (loop.Ts, loop.outputs, loop.units)
-    more = record(make(), loop, LAW, REFERENCE, trials=4, path=path)
+    more = record(RestartingModel(model), loop, LAW, REFERENCE, trials=4, path=path)
     assert more.isel(trial=slice(3)).identical(log)
     replayed = replay(log)
     assert not replayed.departure.values.any()
@@ -73,7 +66,7 @@ def test_it_learns_on_its_rig_as_in_the_simulation(loop, make, tmp_path):
 
 def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
     loop = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=["motor x", "motor y"])
-    rig, path = unnamed(), tmp_path / "log.csv"
+    rig, path = RestartingModel(UNNAMED), tmp_path / "log.csv"
     trials = loop, LAW, REFERENCE
     with pytest.raises(ValueError, match=r"rig\.measured must have the controls"):
         record(rig, *trials)
@@ -83,13 +76,12 @@ def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("loop", "make", "noise"),
-    [(KNOWN, sampled, 0.001), (NAMED, unnamed, 0.001), (KNOWN, sampled, 0.0)],
+    ("loop", "model", "noise"), [(KNOWN, P, 0.001), (NAMED, UNNAMED, 0.001), (KNOWN, P, 0.0)]
 )
-def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make, noise):
+def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, model, noise):
     """Without noise rounding is no sign of a loop that is not linear."""
     excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 6)
-    measured = measured_response(shake(make(noise), loop, excitation))
+    measured = measured_response(shake(RestartingModel(model, noise=noise), loop, excitation))
     assert not measured.beyond_noise
     omega = np.append([0.0, 0.1, 1.0], measured.omega)
     response, radius = measured.on(omega)
