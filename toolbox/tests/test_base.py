@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from plants import STAGE_WITH_MODES as STAGE
 from plants import as_matrix, lifted, sigma_of_M
 
@@ -44,7 +45,7 @@ def acts_as(L, dense):
     """On a trial of two channels, and the transpose as its transpose."""
     for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
         found = as_matrix(apply, len(dense) // 2, 2)
-        np.testing.assert_allclose(found, matrix, rtol=0, atol=1e-12)
+        assert_allclose(found, matrix, rtol=0, atol=1e-12)
 
 
 def errors_of(L, reference, trials, **how):
@@ -86,7 +87,7 @@ def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, o
                 dense[p, :, np.clip(at, 0, N - 1)] += L.coefficients[:, :, k]
     acts_as(L, dense.reshape(2 * N, 2 * N))
     shifts = np.exp(0.7j * np.arange(first, first + order))
-    np.testing.assert_allclose(L(np.exp(0.7j)), L.coefficients @ shifts, atol=1e-11)
+    assert_allclose(L(np.exp(0.7j)), L.coefficients @ shifts, atol=1e-11)
 
 
 def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
@@ -139,15 +140,15 @@ def test_what_is_certified_for_samples_is_the_finite_filter_that_runs():
     L = design.filter
     assert isinstance(L, LearningFilter) and not design.certificate.failures
     M = convergence(STAGE, Q, L, omega)
-    np.testing.assert_allclose(M.sigma, design.sigma_M, rtol=0, atol=1e-9)
+    assert_allclose(M.sigma, design.sigma_M, rtol=0, atol=1e-9)
     operator = synthesise(STAGE, Q, omega, base=0.03)
-    np.testing.assert_allclose(design.sigma_M, operator.sigma_M, rtol=0, atol=0.02)
+    assert_allclose(design.sigma_M, operator.sigma_M, rtol=0, atol=0.02)
     random = np.random.default_rng(0)
     B = LearningFilter(random.standard_normal((1, 1, 801)), 1e-3, first=-400)
     K = LearningFilter(random.standard_normal((1, 1, 5)), 1e-3, first=-2)
     x = random.standard_normal((2000, 1))
     middle = slice(500, 1500)  # farther from the ends than B and K reach
-    np.testing.assert_allclose((B @ K).apply(x)[middle], B.apply(K.apply(x))[middle], atol=1e-9)
+    assert_allclose((B @ K).apply(x)[middle], B.apply(K.apply(x))[middle], atol=1e-9)
 
 
 def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_filter(
@@ -185,7 +186,7 @@ def test_its_norm_on_a_trial_is_that_of_dense_matrices(with_base):
     one = np.eye(40)
     T = Q_N @ (one - (L_N @ (P_N @ one)))
     assert trial_norm(STAGE, Q, L, 40)[0] == pytest.approx(np.linalg.norm(T, 2), rel=1e-6)
-    np.testing.assert_allclose(L_N.rmatmat(one), (L_N @ one).T, rtol=0, atol=1e-9)
+    assert_allclose(L_N.rmatmat(one), (L_N @ one).T, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.0, -0.1, "none", True])
@@ -228,7 +229,7 @@ def test_of_a_list_L_is_the_quadratic_law_of_all_plants_and_keeps_its_bound(as_m
     found = design.filter.frequency_response(omega)
     size = np.abs(L / units).max()
     inside = omega < 0.3
-    np.testing.assert_allclose(
+    assert_allclose(
         found[inside], (L / units)[inside], rtol=0, atol=(1e-9 if as_models else 1e-2) * size
     )
 

@@ -182,7 +182,7 @@ REFUSED = {  # what the error says, and a call
         ClosedLoop(LAG, disturbances=["d"]), LAW, MOVE, MOVE
     ),
     # noise
-    "sensor_psd": lambda: trial_noise(CURRENT, [0.1, 1.0], -1.0),
+    "sensor_psd": lambda: trial_noise(TANKS, [0.1, 1.0], [1.0, -1.0, 0.0]),
     "disturbance_psd": lambda: trial_noise(CURRENT, [0.1, 1.0], 1.0, 1.0),
     "loop = ": lambda: trial_noise(LOOP, [1.0], 1.0),
     "law does not converge": lambda: converged_noise(

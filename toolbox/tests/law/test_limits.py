@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from plants import LOOPS, PUMPS, altered, lifted
 from scipy.linalg import eigh
 from scipy.optimize import lsq_linear
@@ -112,10 +113,10 @@ def test_where_nothing_is_cut_off_it_is_the_law(case):
     v, e, u = trial(case)
     limited = replace(law, rest=3, gain=0.7, limits=dict.fromkeys(law.limits, (-1e3, 1e3)))
     plain = replace(limited, limits=None)
-    np.testing.assert_array_equal(limited.next(v, e, u), plain.next(v, e))
+    assert_array_equal(limited.next(v, e, u), plain.next(v, e))
     run, same = (run_trials(law.loop, each, reference, trials=3) for each in (plain, limited))
     for name in run:
-        np.testing.assert_array_equal(same[name], run[name])
+        assert_array_equal(same[name], run[name])
 
 
 @pytest.mark.parametrize("case", ["tanks", "stage"])
@@ -133,7 +134,7 @@ def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
     free = run_trials(loop, replace(law, limits=None), reference, **trials, v=v)
     for name, expected in (("y", cut.y), ("u", cut.applied), ("delta", cut.delta)):
         size = np.abs(cut.y if name == "y" else cut.u).max().item()
-        np.testing.assert_allclose(free[name], expected, atol=1e-9 * size)
+        assert_allclose(free[name], expected, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("case", ["stage", "tanks", "furnace"])
@@ -144,7 +145,7 @@ def test_an_informed_observer_estimates_no_disturbance_where_there_is_none(case)
     assert not can(run.u.values[0]) and can(run.applied.values)
     assert np.abs(run.delta).max() < 1e-8 * size
     # the model is exact, so the next trials keep what was asked of them
-    np.testing.assert_allclose(run.applied[1:], run.u[1:], atol=1e-7 * size)
+    assert_allclose(run.applied[1:], run.u[1:], atol=1e-7 * size)
 
 
 @settings(max_examples=20)
@@ -215,7 +216,7 @@ def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
     run = run_trials(law.loop, law, np.full((80, 1), 4.0), trials=3)  # it needs 1
     assert not run.v.values[:, -30:].any()
     assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()
-    np.testing.assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
+    assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
 
 
 def test_without_a_model_commands_are_cut_off():
@@ -226,7 +227,7 @@ def test_without_a_model_commands_are_cut_off():
     low, high = [0, -np.inf, -0.5], [2.5, np.inf, 4.2]
     first = np.clip(reference, low, high) - reference  # what trial 1 had for v
     w = np.clip(reference + replace(law, limits=None).next(first, e), low, high)
-    np.testing.assert_allclose(v[:-4], (w - reference)[:-4], atol=1e-12)
+    assert_allclose(v[:-4], (w - reference)[:-4], atol=1e-12)
     assert not v[-4:].any()
 
 
@@ -236,9 +237,9 @@ COMMANDS = st.lists(st.tuples(*[st.floats(-9, 9)] * 3), min_size=1, max_size=20)
 def test_actuators_are_those_of_the_commands_of_the_loop():
     limits = {"pump C": (0, 5), "pump A": (-1, 1, 0.5)}  # 0.5 a second, of two each
     actuators = Law(Q, None, limits=limits, loop=LOOP).actuators
-    np.testing.assert_array_equal(actuators.lowest, [-1, -np.inf, 0])
-    np.testing.assert_array_equal(actuators.highest, [1, np.inf, 5])
-    np.testing.assert_array_equal(actuators.step, [1, np.inf, np.inf])
+    assert_array_equal(actuators.lowest, [-1, -np.inf, 0])
+    assert_array_equal(actuators.highest, [1, np.inf, 5])
+    assert_array_equal(actuators.step, [1, np.inf, np.inf])
 
 
 @given(COMMANDS, st.floats(-3, 3), st.floats(0.1, 4), st.floats(0.01, 2))
@@ -250,10 +251,10 @@ def test_what_is_applied_is_within_and_the_nearest_at_each_step(u, low, width, s
     for command in u[1:, 0]:
         ends = max(low, expected[-1] - step), min(high, expected[-1] + step)
         expected = np.append(expected, np.clip(command, *ends))
-    np.testing.assert_allclose(applied[:, 0], expected, atol=1e-12)
-    np.testing.assert_array_equal(applied[:, 1], np.clip(u[:, 1], -1, 1))
-    np.testing.assert_array_equal(applied[:, 2], u[:, 2])
+    assert_allclose(applied[:, 0], expected, atol=1e-12)
+    assert_array_equal(applied[:, 1], np.clip(u[:, 1], -1, 1))
+    assert_array_equal(applied[:, 2], u[:, 2])
     assert actuators.can(applied)
     assert actuators.can(u) == np.allclose(applied, u, 0, 1e-6 * width)
     both = actuators.follow(np.stack([u, applied]))
-    np.testing.assert_array_equal(both, [applied, applied])
+    assert_array_equal(both, [applied, applied])
