@@ -7,6 +7,7 @@ figures/performance.md.
 """
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -41,6 +42,7 @@ MOVES = {  # minutes, heaters at rest (%)
 HOURS = (1.5, 3.0, 6.0)
 
 
+@cache
 def logs():
     """Both logs, and their fits."""
     columns = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}

@@ -13,6 +13,23 @@ import numpy as np
 from ilctools import ClosedLoop, Controller, current_trial_loop, measured_response, multisine, shake
 from ilctools.models import frequency_response
 
+S = control.tf("s")
+
+
+def resonance(w, damping):
+    """A system of second order with a gain of one."""
+    return w**2 / (S**2 + 2 * damping * w * S + w**2)
+
+
+def sampled(system, Ts, method="zoh"):
+    """A plant behind a hold; of a controller, by Tustin's rule."""
+    return control.sample_system(control.ss(system), Ts, method)
+
+
+def delay(samples, Ts):
+    """A pipe of some samples."""
+    return control.ss(control.tf([1.0], [1.0, *np.zeros(samples)], Ts))
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -126,8 +143,7 @@ def flow(f, Ts, steps=1):
 
 def of_model(model, Ts, noise, limits=None):
     """A bench whose dynamics are those of a linear model."""
-    model = control.ss(model)
-    model = model if model.dt else control.sample_system(model, Ts)
+    model = control.ss(model) if model.dt else sampled(model, Ts)
     A, B, C = model.A, model.B, model.C
     step, output = lambda x, u: A @ x + B @ u, lambda x: C @ x
     return Plant(len(A), step, output, noise, limits or {})
@@ -267,18 +283,16 @@ def plc(off):
 
 def table(off):
     """A stage under its own controller, measured up to 100 of 500 Hz; above is a resonance."""
-    Ts, w, s = 1e-3, 2 * np.pi * 30, control.tf("s")
+    Ts, w, upper = 1e-3, 2 * np.pi * 30, 2 * np.pi * 160
 
-    def plant(w, resonance):
-        flexible = resonance**2 / (s**2 + 0.02 * resonance * s + resonance**2)
-        model = w**2 / (s**2 + 1.2 * w * s + w**2) * (0.97 + 0.03 * flexible)
-        return control.sample_system(control.ss(model), Ts)
+    def plant(w, upper):
+        return sampled(resonance(w, 0.6) * (0.97 + 0.03 * resonance(upper, 0.01)), Ts)
 
-    resonance, random = 2 * np.pi * 160, np.random.default_rng(5)
+    random = np.random.default_rng(5)
     omega = 2 * np.pi * np.geomspace(0.5, 100, 150)
-    P = frequency_response(plant(w, resonance), omega)[:, 0, 0]
+    P = frequency_response(plant(w, upper), omega)[:, 0, 0]
     P = P + 0.003 * (random.standard_normal((2, 150)).T @ [1, 1j])
-    model = plant(w * (1 - 0.1 * off), resonance * (1 - 0.05 * off))
+    model = plant(w * (1 - 0.1 * off), upper * (1 - 0.05 * off))
     loop, P = ClosedLoop(Ts=Ts, outputs=["x"]), control.frd(P, omega)
     return Kind(loop, of_model(model, Ts, 2e-3), bump(400, [5.0]), w, known=P)
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from further import EIGHT
+from boards import logs
 from kinds import KINDS, bump
+from plants_of_peers import PLANTS, double_mass, their_reference
 from runner import publish, run, table
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import solve
 from scipy.optimize import minimize
 from scipy.stats.qmc import Sobol
-from unseen import UNSEEN, S, double_mass, resonance, sampled, their_reference
 
 from ilctools import (
     ClosedLoop,
@@ -30,13 +30,11 @@ from ilctools import (
     convergence,
     current_trial_loop,
     frequency_response,
-    read_table,
     synthesise,
     zero_phase_butterworth,
 )
 from ilctools.models import impulse_response
-from rodlib import Spread, draw, fit_heat_balance, heat_balance, paper_loop, responses
-from rodlib.paper.repository import ROOT
+from rodlib import Spread, draw, heat_balance, paper_loop, responses
 
 OFF = (1, -1, 2, -2)  # in ten percent
 TRIALS, NOISE = 10, 1e-3  # of the largest reference of each channel
@@ -56,34 +54,6 @@ DESIGNS = {
 DRAWS, RODS, OTHERS, SPREAD = 10, 300, 400, 0.2
 FILTERS = ((0.2, None), (0.25, None), (0.3, None), (0.3, 3), (0.3, 21))  # b; order of K
 ROD_BAND = (1e-4, 0.02)  # rad/s
-
-
-def stage(off):
-    """A controller that leaves a resonance within the cut-off; its stiffness is off."""
-    return sampled(resonance(62.8 * np.sqrt(1 - off), 0.05), 1e-3), 100.0, 1000
-
-
-def arm(off):
-    """A well damped loop with a sharp resonance beyond the cut-off; both stiffnesses are off."""
-    w = np.sqrt(1 - off)
-    return sampled(0.95 * resonance(50 * w, 0.7) + 0.05 * resonance(151 * w, 0.01), 1e-3), 60.0, 800
-
-
-def belt(off):
-    """A load behind a belt, with an antiresonance below its resonance; its stiffness is off."""
-    w = np.sqrt(1 - off)
-    P = resonance(40 * w, 0.05) / resonance(30 * w, 0.05) * 60 / (S + 60)
-    return sampled(P, 5e-3), 60.0, 600
-
-
-def converter(off):
-    """The filter of a power converter, by its circuit; off in both of its parts."""
-    L, C = 1e-3 * (1 + off), 1e-3 * (1 - off)
-    P = 1 / (L * C * S**2 + (0.2 * C + L / 5) * S + 1.04)
-    return sampled(P, 2e-4), 1500.0, 400
-
-
-LOOPS = {kind.__name__: kind for kind in (stage, arm, belt, converter)} | UNSEEN | EIGHT
 
 
 @dataclass(frozen=True)
@@ -132,21 +102,9 @@ def later(errors):
     return np.sqrt(np.mean(errors[1:] ** 2)) / errors[0]
 
 
-def boards():
-    """The parameters of two real heater boards, by their logs."""
-    for key in BOARDS:
-        inputs = {"Q1": "Heater 1", "Q2": "Heater 2"}
-        outputs = {"T1": "Temperature 1", "T2": "Temperature 2"}
-        path = ROOT / "data" / "tclab" / f"{key}.csv"
-        log = read_table(path, time=0, inputs=inputs, outputs=outputs)
-        yield key, fit_heat_balance(log.u[0], log.y[0], log.Ts).values
-
-
 def of_board(name):
-    """A heater board; ten percent off is the other one, or as far to the other side."""
-    values = dict(boards())
-    own = values.pop(name)
-    [other] = values.values()
+    """A real heater board; ten percent off is the other one, or as far to the other side."""
+    own, other = (fit.values for fit in logs()[1][:: 1 if name == BOARDS[0] else -1])
     model, *off = (heat_balance(*own * (other / own) ** k, 3.0) for k in (0, *OFF))
     sizes = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
     loop = current_trial_loop(model, ["Q1", "Q2"], sizes=sizes)
@@ -162,7 +120,7 @@ def case_of(name):
         kind = kinds[0]
         known = kind.loop if kind.known is None else kind.known
         return Case(known, [each.P for each in kinds], kind.reference, kind.cutoff)
-    (P, cutoff, samples), *off = (LOOPS[name](k / 10) for k in (0, *OFF))
+    (P, cutoff, samples), *off = (PLANTS[name](k / 10) for k in (0, *OFF))
     reference = bump(samples, HEIGHTS[: P.noutputs])
     if name == "double_mass":
         reference = their_reference()
@@ -405,5 +363,5 @@ def table_of_rod(draws):
 
 
 if __name__ == "__main__":
-    rows = list(run(row, [*KINDS, *LOOPS, *BOARDS]))
+    rows = list(run(row, [*KINDS, *PLANTS, *BOARDS]))
     publish("peers", f"{table_of(rows)}\n\n{table_of_rod(list(run(of_rod, range(DRAWS))))}\n")

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import control
 import numpy as np
 import pandas as pd
+from kinds import S, delay, resonance, sampled
 from runner import publish, run
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
@@ -62,14 +63,10 @@ def under_feedback(plant, crossover):
 
 def plant_of(family, rng, order):
     """A stable loop of the family, with unit gain at frequency zero unless it is random."""
-    s = control.tf("s")
     Ts = float(rng.choice([0.001, 0.1, 1.0, 60.0]))
 
     def power(low, high, size=None):
         return 10 ** rng.uniform(low, high, size)
-
-    def sampled(system, period=Ts):
-        return control.sample_system(control.ss(system), period)
 
     match family:
         case "lag":
@@ -78,20 +75,18 @@ def plant_of(family, rng, order):
             return lag(Ts * power(0, 2), Ts) * lag(Ts * power(0, 2), Ts)
         case "motion stage":
             T = Ts * power(1, 2)
-            return under_feedback(sampled(1 / (s * (T * s + 1))), 0.3 / T)
+            return under_feedback(sampled(1 / (S * (T * S + 1)), Ts), 0.3 / T)
         case "slow integrator":
             return under_feedback(control.ss(1, Ts, 1, 0, Ts), power(-3, -0.5) / Ts)
         case "short delay" | "long delay":
             ends = 0, order + 1, 2 * order + 10
-            delay = rng.integers(*(ends[:2] if family == "short delay" else ends[1:]))
-            pipe = control.ss(control.tf([1], [1, *np.zeros(delay)], Ts))
-            return pipe * lag(Ts * power(0, 2), Ts)
+            samples = rng.integers(*(ends[:2] if family == "short delay" else ends[1:]))
+            return delay(samples, Ts) * lag(Ts * power(0, 2), Ts)
         case "resonance":
-            w = power(-2, -0.3) / Ts
-            return sampled(w**2 / (s**2 + 0.02 * w * s + w**2))
+            return sampled(resonance(power(-2, -0.3) / Ts, 0.01), Ts)
         case "non-minimum phase":
             T, b = Ts * power(0.5, 2), rng.uniform(0.1, 2)
-            return sampled((1 - b * T * s) / (T * s + 1) ** 2)
+            return sampled((1 - b * T * S) / (T * S + 1) ** 2, Ts)
         case "tanks":
             m = int(rng.integers(2, 4))
             rates = power(-2.5, -1, m)

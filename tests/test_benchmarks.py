@@ -4,8 +4,6 @@ import ast
 import json
 import os
 import re
-import subprocess
-import sys
 from contextlib import nullcontext
 from importlib import import_module
 from types import SimpleNamespace
@@ -136,15 +134,14 @@ def test_a_heater_board_is_known_from_long_moves_around_the_working_point(monkey
     z, noise = boards.with_squares(A, fits[0]), np.array([0.06, 0.11])
     given = z, B.u.values[0], noise
     monkeypatch.setattr(boards, "OMEGA", boards.OMEGA[::3])
-    with monkeypatch.context() as fewer:
-        fewer.setattr(boards, "DRAWN", 3)
-        left, least, direct, unknown = boards.moved("by the minute, 36 min", 1, *given)
-    assert left < 0.2 and least < 1 and not unknown
-    assert direct == 1  # without a model 36 minutes promise nothing
+    monkeypatch.setitem(boards.BOUNDS, "order", 4)
     bent, none, *_ = boards.moved("those of log B, 10 min", 1, *given)
-    assert bent > 5 * left and none > 1
+    monkeypatch.setattr(boards, "DRAWN", 3)
+    left, least, direct, unknown = boards.moved("by the minute, 36 min", 1, *given)
+    assert bent > 5 * left and left < 0.2 and least < 1 < none and not unknown
+    assert direct == 1  # without a model 36 minutes promise nothing
     radius, best = boards.shaken(1.5, 1, z, noise, fits[1].values)
-    assert radius < 0.2 and 0.3 < best < 0.6
+    assert radius < 0.2 and 0.4 < best < 0.7
     both = boards.ranges(np.array([[0.123, 2], [0.456, 1]]), (2, 0))
     assert both == ["0.12 to 0.46", "1 to 2"]
 
@@ -152,24 +149,22 @@ def test_a_heater_board_is_known_from_long_moves_around_the_working_point(monkey
 @pytest.mark.filterwarnings("ignore")
 def test_what_is_timed_runs():
     """That both find the same filter, toolbox/tests/synthesis/test_statement.py tests."""
-    problem = bench_synthesis.paper_problem(12)
+    problem = bench_synthesis.paper_problem(10)
     for function, _ in bench_synthesis.METHODS.values():
         function(*problem, structure="diagonal")
-    assert bench_synthesis.for_rods(3, 30).certificate.grid_M <= 0.99 * (1 + 1e-6)
+    assert bench_synthesis.for_rods(2, 20).certificate.grid_M <= 0.99 * (1 + 1e-6)
 
 
-def test_make_bench_runs_and_measures_memory(page, tmp_path):
-    """As it stands in the Makefile, but for the file, and one case of all."""
+def test_make_bench_runs_and_measures_memory(page, tmp_path, monkeypatch):
+    """As it stands in the Makefile, but for the file, and one case of all, in this process."""
     path = tmp_path / "benchmark.json"
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     command = makefile.split("$(BIN)/pytest -q benchmarks/bench_*.py ")[1].split("$(BIN)")[0]
     options = command.replace("\\\n", " ").replace("build/benchmark.json", str(path)).split()
     chosen = ["-k", "structured and diagonal and 250", "-p", "no:cacheprovider"]
-    # of workers, of which pytest-benchmark takes no times, it is to know nothing
-    environment = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
-    environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    run = [sys.executable, "-m", "pytest", "-q", FOLDER / "bench_synthesis.py", *chosen, *options]
-    subprocess.run(run, cwd=ROOT, env=environment, check=True, capture_output=True)
+    for key in [key for key in os.environ if "PYTEST" in key]:
+        monkeypatch.delenv(key)  # of workers pytest-benchmark would take no times
+    assert not pytest.main(["-q", f"{FOLDER / 'bench_synthesis.py'}", *chosen, *options])
     made = json.loads(path.read_text())
     (entry,) = made["benchmarks"]
     least, memory = entry["stats"]["min"], entry["extra_info"]["memory"]
@@ -186,7 +181,7 @@ def test_make_bench_runs_and_measures_memory(page, tmp_path):
 
 def test_make_measure_lists_what_there_is():
     listed = {line.split("WHAT=")[1].split()[0] for line in runner.listed().splitlines()}
-    others = {"bench_synthesis", "further", "kinds", "report", "runner", "unseen"}
+    others = {"bench_synthesis", "kinds", "plants_of_peers", "report", "runner"}
     assert listed == {path.stem for path in FOLDER.glob("*.py")} - others
 
 

@@ -3,10 +3,9 @@
 import control
 import numpy as np
 import pytest
+from boards import logs
 
-from ilctools import read_table
 from rodlib.boards import fit_heat_balance, heat_balance
-from rodlib.paper.repository import ROOT
 
 BOARD = np.array([0.0033, 0.0018, 0.0051, 0.0018, 18.0])
 MOVES = np.repeat([[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 25, axis=0)
@@ -33,16 +32,13 @@ def test_what_made_a_record_is_found_from_it(true):
     assert np.abs(fit.left).max() < 1e-3 and fit.unknown == []
 
 
-@pytest.mark.parametrize(("name", "most"), [("board-1s.csv", 0.67), ("board-3s.csv", 0.62)])
-def test_real_boards_are_not_fitted_in_the_wrong_minimum(name, most):
+def test_real_boards_are_not_fitted_in_the_wrong_minimum():
     """There one guess leaves 1.34 K of T2 on the first log, and 1.08 K of T1 on the second."""
-    columns = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}
-    log = read_table(ROOT / "data" / "tclab" / name, **columns)
-    fit = fit_heat_balance(log.u[0], log.y[0], log.Ts)
-    assert np.sqrt(np.mean(fit.left**2)) < most
-    assert np.allclose(fit.left.mean(axis=0), 0, atol=1e-3)  # as the zeros are fitted
-    loss, lag = fit.values[[2, 4]]
-    assert lag < 40 < 1 / loss  # s: the thermometer is the quicker part
+    for fit, most in zip(logs()[1], (0.67, 0.62), strict=True):
+        assert np.sqrt(np.mean(fit.left**2)) < most
+        assert np.allclose(fit.left.mean(axis=0), 0, atol=1e-3)  # as the zeros are fitted
+        loss, lag = fit.values[[2, 4]]
+        assert lag < 40 < 1 / loss  # s: the thermometer is the quicker part
 
 
 def test_a_heater_that_is_idle_has_no_gain():
