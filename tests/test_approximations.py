@@ -21,7 +21,8 @@ BUILD = {
     "quadratic elements": lambda rod, n: finite_elements(rod, P2, n),
     "cubic elements": lambda rod, n: finite_elements(rod, skfem.ElementLinePp(3), n),
     "Hermite's elements": lambda rod, n: finite_elements(rod, HERMITE, n),
-    "modal series": lambda rod, n: modal_series(rod, rod.sections * n),
+    "modal series": lambda rod, n: modal_series(rod, 8 * rod.sections * n),
+    "midr": midr,
 }
 
 
@@ -43,6 +44,7 @@ def error(model, rod):
         ("quadratic elements", 4, 0.15),  # 2p at a sensor on an element's end
         ("cubic elements", 6, 0.15),
         ("Hermite's elements", 4, 0.4),
+        ("modal series", 3, 0.1),
     ],
 )
 def test_error_falls_with_the_order_known_from_theory(rod, method, order, slack):
@@ -50,33 +52,27 @@ def test_error_falls_with_the_order_known_from_theory(rod, method, order, slack)
     assert np.log2(coarse / fine) == pytest.approx(order, abs=slack)
 
 
-def test_modal_series_has_the_exact_poles_and_converges_with_the_third_power():
+def test_modal_series_has_the_exact_poles():
     wave = np.arange(50) * np.pi / BRASS.length
     exact = -(BRASS.kappa_2 + BRASS.conductivity * wave**2) / BRASS.kappa_1
     model = modal_series(BRASS, 50)
     np.testing.assert_allclose(np.diag(model.A), exact, rtol=1e-12)
-    coarse, fine = (error(modal_series(Rod(), n), Rod()) for n in (64, 256))
-    assert np.log(coarse / fine) / np.log(4) == pytest.approx(3, abs=0.1)
 
 
 @given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 3), st.integers(1, 4))
-def test_any_rod_has_the_names_of_midr_and_follows_the_air(rod, sensors, count):
+def test_any_rod_is_stable_has_its_names_and_follows_the_air(rod, sensors, count):
+    """And volumes never cool what is heated: off the diagonal of A, in B, C nothing is negative."""
     rod = replace(rod, sensors=sensors)
+    np.testing.assert_allclose(exact_response(rod, [0.0])[0].real[:, -1], 1, rtol=1e-12)
     for method, build in BUILD.items():
         model = build(rod, count)
         assert model.input_labels == rod.inputs and model.output_labels == rod.outputs, method
         assert model.poles().real.max() < 0, method
         at_rest = frequency_response(model, [0.0])[0]
         np.testing.assert_allclose(at_rest[:, -1], 1, rtol=1e-8, err_msg=method)
-
-
-@given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 3), st.integers(1, 6))
-def test_volumes_never_cool_what_is_heated(rod, sensors, count):
-    """No entry off the diagonal of A, of B and of C is negative: nor is any response."""
-    rod = replace(rod, sensors=sensors)
-    model = finite_volumes(rod, count)
-    assert np.all(model.A - np.diag(np.diag(model.A)) >= 0)
-    assert np.all(model.B >= 0) and np.all(model.C >= 0)
+        if method == "finite volumes":
+            model.A[np.diag_indices(model.nstates)] = 0
+            assert min(model.A.min(), model.B.min(), model.C.min()) >= 0
 
 
 @given(MATERIALS, st.lists(st.floats(0, 0.05), min_size=1, max_size=4), st.integers(1, 6))
