@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from rodlib import Rod
 from rodlib.approximations import modal_series
+from rodlib.rigs import RestartingRig, RigParameters
 
 MATERIALS = st.builds(
     Rod,
@@ -30,6 +31,26 @@ BRASS = Rod(
     sections=6,
     sensors=(0.15, 0.35, 0.55),
 )
+
+
+class Failing(RestartingRig):
+    """Goes wrong in one sample, counted from 0: it shows a list, or an error comes."""
+
+    def __init__(self, sample=np.inf, shown=None):
+        super().__init__(parameters=RigParameters(modes=10))
+        self.sample, self.shown, self.commands = sample, shown, []
+
+    def read(self):
+        self.sample -= 1
+        if self.sample != -1:
+            return super().read()
+        if isinstance(self.shown, list):
+            return self.shown
+        raise self.shown
+
+    def apply(self, heat_flows):
+        self.commands.append(np.array(heat_flows))
+        super().apply(heat_flows)
 
 
 def readings_of(rig, commands):

@@ -4,6 +4,7 @@ from unittest.mock import Mock
 import control
 import numpy as np
 import pytest
+from rods import readings_of
 
 from ilctools import (
     Law,
@@ -49,11 +50,7 @@ def test_the_emulator_is_a_heat_balance(monkeypatch):
         rig = TemperatureControlLab(wait=3000.0)
         rig.lab.maxstep = step
         rig.begin(1)
-        read = []
-        for heaters in u:
-            read.append(rig.read())
-            rig.apply(heaters)
-        differences.append(np.abs(np.asarray(read) - np.asarray(model)).max())
+        differences.append(np.abs(readings_of(rig, u) - model).max())
     assert differences[0] < 0.005 * np.ptp(model)
     assert differences[1] == pytest.approx(differences[0] / 2, rel=0.05)
 

@@ -28,21 +28,12 @@ from ilctools.alternatives import gradient, pd_type
 from rodlib import Rod, assumed_disturbance, assumed_reference, midr, paper_loop, sampled_response
 from rodlib.paper import published
 
-NAMES = {"h_infinity", "generalised_plant", "full_information", "tune", "rehearsed", "size"}
-NAMES |= {"stable_inversion", "zero_phase_inversion"}
-
-
-def functions(names):
-    """Imports of notebook 8 and the functions of these names, as they stand there."""
-    body = ast.parse("\n".join(code("08-alternatives"))).body
-    imports = [node for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
-    defined = [n for n in body if isinstance(n, ast.FunctionDef) and n.name in names]
-    return ast.Module(imports, []), ast.Module(defined, [])
-
-
+# imports and functions of notebook 8, as they stand there
+KEPT = ast.Import | ast.ImportFrom | ast.FunctionDef
+BODY = ast.parse("\n".join(code("08-alternatives"))).body
 NAMESPACE = {}
-for module in functions(NAMES):
-    exec(compile(module, "08-alternatives", "exec"), NAMESPACE)
+module = ast.Module([node for node in BODY if isinstance(node, KEPT)], [])
+exec(compile(module, "08-alternatives", "exec"), NAMESPACE)
 opponents = SimpleNamespace(**NAMESPACE)
 PLANTS = {"rod": paper_loop} | LOOPS
 

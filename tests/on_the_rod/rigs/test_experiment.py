@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 from plants import RestartingModel, boiler
+from rods import Failing
 
 from ilctools import (
     Controller,
@@ -31,22 +32,6 @@ from rodlib.peltier_rig import PeltierRig
 from rodlib.rigs import VirtualRig
 
 L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-
-
-class Failing(VirtualRig):
-    """Goes wrong in one sample, counted from 0."""
-
-    def __init__(self, sample, how):
-        super().__init__()
-        self.sample, self.how, self.commands = sample, how, []
-
-    def read(self):
-        self.sample -= 1
-        return self.how() if self.sample == -1 else super().read()
-
-    def apply(self, heat_flows):
-        self.commands.append(np.array(heat_flows))
-        super().apply(heat_flows)
 
 
 def test_controller_on_the_design_model_gives_the_simulated_trial(loop, Q):
@@ -154,7 +139,7 @@ def test_an_experiment_that_cannot_work_is_not_begun(loop, changes, message):
 @pytest.mark.parametrize("bad", [[np.nan, 0.0], [0.0], ["1", "2"]])
 def test_what_is_no_reading_never_reaches_the_actuators(loop, Q, tmp_path, bad):
     """The trial ends, the rig is made safe, the trials before it stay."""
-    device = Failing(20 + 3 + 12, lambda: bad)
+    device = Failing(20 + 3 + 12, bad)
     trials = loop, Law(Q, L), assumed_reference(20), None, 3
     with pytest.raises(RigError, match=r"(?s)reading .*in trial 2, sample 13; nothing was"):
         record(device, *trials, pause=3, path=tmp_path / "log.csv")
@@ -162,7 +147,7 @@ def test_what_is_no_reading_never_reaches_the_actuators(loop, Q, tmp_path, bad):
     assert np.isfinite(device.commands).all() and not device.commands[-1].any()
     assert load_log(tmp_path / "log.csv").sizes["trial"] == 1
     with pytest.raises(RigError, match="in pause before trial 2, sample 3"):
-        record(Failing(20 + 2, lambda: bad), *trials, pause=3)
+        record(Failing(20 + 2, bad), *trials, pause=3)
 
 
 def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
@@ -175,10 +160,7 @@ def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("unplugged")])
 def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
-    def fail():
-        raise error
-
-    device = Failing(7, fail)
+    device = Failing(7, error)
     with pytest.raises(type(error)):
         record(device, loop, Law(Q, None), np.ones((20, 2)), None, 2)
     assert len(device.commands) == 8 and not device.commands[-1].any()

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from plants import RestartingModel, boiler, bump
+from rods import Failing
 
 from ilctools import (
     Law,
@@ -21,7 +22,7 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from rodlib import paper_loop
-from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
+from rodlib.rigs import RestartingRig, VirtualRig
 
 LAW = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter(0.4 * np.eye(2)[..., None], 1.0))
 SHORT = {"reference": bump(25, [0.5, 0.2]), "trials": 3, "pause": 2}
@@ -30,33 +31,19 @@ BOILER_LAW = Law(zero_phase_butterworth(2, 0.5, 0.5), replace(LAW.L, Ts=0.5), re
 R = bump(80, [2.0, 1.0])
 
 
-class Interrupted(RestartingRig):
-    """Somebody stops it after so many samples; noise depends on the trial alone."""
-
-    def __init__(self, samples=np.inf):
-        super().__init__(parameters=RigParameters(modes=10))
-        self.samples = samples
-
-    def read(self):
-        self.samples -= 1
-        if self.samples < 0:
-            raise KeyboardInterrupt
-        return super().read()
-
-
 def test_an_interrupted_experiment_goes_on_as_if_nothing_had_been(loop, tmp_path):
     """What is on disk are the trials that had ended; the rest comes out the same, bit for bit."""
-    whole = record(Interrupted(), loop, LAW, **SHORT, path=tmp_path / "whole.csv")
+    whole = record(Failing(), loop, LAW, **SHORT, path=tmp_path / "whole.csv")
     for samples in (3, 26, 52, 78):  # a trial has 25, the pause before it 2
         path, ended = tmp_path / f"{samples}.csv", (samples + 2) // 27
         with pytest.raises(KeyboardInterrupt):
-            record(Interrupted(samples), loop, LAW, **SHORT, path=path)
+            record(Failing(samples, KeyboardInterrupt()), loop, LAW, **SHORT, path=path)
         assert path.exists() == (ended > 0)
         if ended:
             log = load_log(path)
             assert log.identical(whole.isel(trial=slice(ended)))
             save_log(log.assign_attrs(operator="Ada"), path)
-        finished = record(Interrupted(), loop, LAW, **SHORT, path=path)
+        finished = record(Failing(), loop, LAW, **SHORT, path=path)
         assert finished.attrs.pop("operator", "Ada") == "Ada"
         assert finished.identical(whole)
 

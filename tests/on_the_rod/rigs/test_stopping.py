@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from plants import RestartingModel, boiler, bump, furnace
+from rods import Failing
 
 from ilctools import (
     Law,
@@ -23,7 +24,6 @@ from ilctools.errors import StoppedError
 from ilctools.models import sampled_plant
 from ilctools.rigs.limits import stop_limits
 from ilctools.trials.rms import rms
-from rodlib.rigs import RestartingRig
 
 BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])
 
@@ -41,32 +41,23 @@ def test_an_actuator_of_the_wrong_sign_does_not_run_away():
         shake(RestartingModel(boiler(), signs=[1.0, -1.0, 1.0]), BOILER, excitation)
 
 
-class Knocked(RestartingRig):
-    """Somebody knocks in the third trial."""
-
-    def read(self):
-        knock = 100.0 if self.time == 7 and self.trial == 3 else 0.0
-        return super().read() + knock
-
-    def begin(self, trial):
-        self.trial = trial
-        super().begin(trial)
-
-
 def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
-    """With a path in the log, in any case with the error; and the same call goes on."""
+    """Somebody knocks in the third trial. With a path in the log, in any case with the error.
+
+    The same call goes on.
+    """
     law, path = Law(Q, LearningFilter(np.eye(2)[..., None], 1.0)), tmp_path / "log.csv"
-    trials = loop, law, bump(25, [0.5, 0.2]), None, 3
-    whole = record(RestartingRig(), *trials)
+    trials, knock = (loop, law, bump(25, [0.5, 0.2]), None, 3), (2 * 25 + 7, [100.0, 100.0])
+    whole = record(Failing(), *trials)
     with pytest.raises(StoppedError, match=r"(?s)y1 = .*in trial 3, sample 8") as stop:
-        record(Knocked(), *trials, path=path)
+        record(Failing(*knock), *trials, path=path)
     assert str(path) in stop.value.__notes__[0]
     assert load_log(path).identical(stop.value.trials)
     assert stop.value.trials.identical(whole.isel(trial=slice(2)))
-    assert record(RestartingRig(), *trials, path=path).identical(whole)
+    assert record(Failing(), *trials, path=path).identical(whole)
     wider = {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}
     with pytest.raises(StoppedError, match=r"(?s)Q1 = .*in trial 3, sample 9"):
-        record(Knocked(), *trials, stop=wider)
+        record(Failing(*knock), *trials, stop=wider)
 
 
 def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given():
