@@ -32,11 +32,15 @@ def lag(rng):
     return b * a.sum() / b.sum(), a
 
 
+def pair(natural, damping):
+    """The denominator of a resonance."""
+    pole = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
+    return np.poly([pole, pole.conj()]).real
+
+
 def resonance(rng):
     """A resonance with a damping of 0.05 to 0.3 behind a delay of a sample."""
-    natural, damping = rng.uniform(0.15, 0.8), rng.uniform(0.05, 0.3)
-    pole = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
-    a = np.poly([pole, pole.conj()]).real
+    a = pair(rng.uniform(0.15, 0.8), rng.uniform(0.05, 0.3))
     return np.array([0, a.sum() / 2, a.sum() / 2]), a
 
 
@@ -190,12 +194,9 @@ def modes(rng, damped=0.03):
     damping, gains = rng.uniform(0.005, damped, 4), rng.uniform(0.3, 1, 4)
     gains *= rng.choice([-1, 1], 4) * np.where(natural > 1, 0.3, 1)
     b, a = np.zeros(1), np.ones(1)
-    for pole, gain in zip(
-        np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2))), gains, strict=True
-    ):
-        pair = np.poly([pole, pole.conj()]).real
-        delayed = np.append(0, gain * pair.sum() * a)
-        b, a = polyadd(np.convolve(b, pair), delayed), np.convolve(a, pair)
+    for further, gain in zip(map(pair, natural, damping), gains, strict=True):
+        delayed = np.append(0, gain * further.sum() * a)
+        b, a = polyadd(np.convolve(b, further), delayed), np.convolve(a, further)
     return b * a.sum() / np.abs(b.sum()), a
 
 
