@@ -101,8 +101,8 @@ REFUSED = {  # what the error says, and a call
     "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
     # what is no plant, no filter, no log
     "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
-    "Q = Trans.* both directions: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
-    r"Q = 5 is no filter .* zero_phase_butterworth\(order,": lambda: synthesise(MODEL, 5),
+    "Q = Trans.* one direction only: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
+    r"Q = 5 is no filter, .* zero_phase_butterworth\(order,": lambda: synthesise(MODEL, 5),
     "Q holds values of type <U4": lambda: synthesise(MODEL, "lowp"),
     r"Q has shape \(1, 6\)": lambda: synthesise(MODEL, Q.sections),
     "P holds values of type <U7": lambda: synthesise("rod.csv", Q),
