@@ -60,12 +60,8 @@ Q = zero_phase_butterworth(2, 60.0, TS)
 OMEGA = np.geomspace(1, np.pi / TS, 300)
 P = frequency_response(MODEL, OMEGA)
 LAG = control.ss(0.5, 0.5, 1, 0, 1.0, inputs=["w"], outputs=["x"])
-LOOP, CURRENT, TANKS, PAPER = (
-    ClosedLoop(LAG),
-    current_trial_loop(LAG),
-    LOOPS["tanks"](),
-    paper_loop(),
-)
+LOOP, CURRENT = ClosedLoop(LAG), current_trial_loop(LAG)
+TANKS, PAPER = LOOPS["tanks"](), paper_loop()
 LAW = Law(zero_phase_butterworth(2, 0.3, 1.0), LearningFilter([[[0.3]]], 1.0))
 IN_MS, CAUSAL = replace(LAW.L, Ts=TS), 1 / (1 + 1j * OMEGA / 60)
 LAW_OF_TWO = replace(LAW, L=LearningFilter(0.3 * np.eye(2)[:, :, None], 1.0))
@@ -81,11 +77,14 @@ BOUND = LIMITED.bound_to(PAPER)
 
 
 class Stuck(RestartingModel):
+    """A rig whose sensor is."""
+
     def read(self):
         return np.array([0.37])
 
 
 def labelled(*names):
+    """Two signals by name."""
     return pd.DataFrame(TWO, columns=names)
 
 
