@@ -35,14 +35,14 @@ def loop_of(parameters):
     return current_trial_loop(model, sizes=SIZES, units=UNITS)
 
 
+@pytest.fixture
 def undisturbed(monkeypatch):
     """The emulator with thermometers that show what is there."""
     monkeypatch.setattr(tclab.TCLabModel, "measurement", lambda self, T: T)
 
 
-def test_the_emulator_is_a_heat_balance(monkeypatch):
+def test_the_emulator_is_a_heat_balance(undisturbed):
     """Solved by Euler's method: half the step, half the difference."""
-    undisturbed(monkeypatch)
     u = np.repeat([[20.0, 0.0], [0.0, 0.0], [-10.0, 40.0]], 100, axis=0)
     model = control.forced_response(heat_balance(*TRUE, 2.0), inputs=u.T).outputs.T
     differences = []
@@ -55,8 +55,7 @@ def test_the_emulator_is_a_heat_balance(monkeypatch):
     assert differences[1] == pytest.approx(differences[0] / 2, rel=0.05)
 
 
-def test_every_trial_begins_at_rest(monkeypatch):
-    undisturbed(monkeypatch)
+def test_every_trial_begins_at_rest(undisturbed):
     rig = TemperatureControlLab(wait=3000.0)
     with pytest.raises(RuntimeError, match="call begin first"):
         rig.read()
@@ -92,8 +91,7 @@ def test_heaters_are_cut_off_where_they_end():
         rig.apply([1, 2, 3])
 
 
-def test_trials_of_the_emulator_are_those_of_the_simulation(monkeypatch):
-    undisturbed(monkeypatch)
+def test_trials_of_the_emulator_are_those_of_the_simulation(undisturbed):
     loop, omega = loop_of(TRUE), np.geomspace(1e-3, np.pi / 2, 200)
     asked = {"order": 10, "L_max": 5.0, "band": (1e-3, 0.03)}
     design = synthesise(loop, Q, omega, 2.0, **asked)
@@ -118,9 +116,8 @@ def measure(rest=(50.0, 50.0)):
     return measured, loop.frequency_response(measured.omega, heat_balance(*TRUE, 2.0))
 
 
-def test_without_noise_the_measured_response_is_that_of_the_heat_balance(monkeypatch):
+def test_without_noise_the_measured_response_is_that_of_the_heat_balance(undisturbed):
     """Around another state of rest; Euler's method makes the difference."""
-    undisturbed(monkeypatch)
     measured, truth = measure(rest=(40.0, 60.0))
     assert not measured.findings
     assert np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max() < 5e-3

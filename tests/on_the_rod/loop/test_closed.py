@@ -108,8 +108,3 @@ REFUSALS = [  # a plant, and what the error names
 def test_other_plants_that_do_not_fit_are_refused(loop, plant, message):
     with pytest.raises(ValueError, match=message):
         loop.frequency_response([0.1, 0.2, 0.3], plant=plant)
-
-
-def test_what_was_cut_off_is_what_another_v_would_have_asked_for_less(loop):
-    v, u, applied = np.random.default_rng(0).normal(size=(3, 20, 2))
-    np.testing.assert_allclose((loop.realised(v, u, applied) - v) @ loop.N.T, applied - u)

@@ -98,23 +98,26 @@ def test_one_task_distinguishes_a_repeating_disturbance_from_the_reference(repea
 
 
 def tanks_case():
+    """How trials are run on three tanks, off from the model of the loop, and two references."""
     loop, plant = current_trial_loop(tanks(), PUMPS), tanks()
     plant.B *= 0.85
     old = [(0.05, 0.3, 0.3, 5.0), (0.1, 0.4, 0.2, 3.0), (0.2, 0.3, 0.4, -4.0)]
     new = [(0.1, 0.2, 0.3, 3.0), (0.3, 0.2, 0.15, 4.0), (0.1, 0.3, 0.2, 2.0)]
     law = Law(zero_phase_butterworth(2, 0.15, 2.0), NormOptimal(loop.P, 1e-2, 400))
-    return loop, plant, law, steps(400, *old), steps(400, *new)
+
+    def run(reference, trials=1, disturbance=None, **more):
+        return run_trials(loop, law, reference, disturbance, trials, plant=plant, **more)
+
+    return run, law, steps(400, *old), steps(400, *new)
 
 
 def test_on_another_plant_the_first_trial_is_as_if_it_had_been_learned():
-    """Three tanks, off from the model of the loop, with noise."""
-    loop, plant, law, old, new = tanks_case()
+    """With noise."""
+    quiet, _, old, new = tanks_case()
     std, rng = 0.002 * np.abs(old).max(), np.random.default_rng(0)
 
     def run(reference, trials=1, v=None):
-        noise = std * rng.standard_normal((trials, *reference.shape))
-        case = loop, law, reference, None, trials
-        return run_trials(*case, plant=plant, noise=noise, v=v)
+        return quiet(reference, trials, v=v, noise=std * rng.standard_normal((trials, *old.shape)))
 
     trials = run(old, 6)
     transferred = transfer(trials, new)
@@ -141,32 +144,30 @@ def rod():
 
 
 def test_a_disturbance_that_came_in_between_is_reported(rod):
-    came = assumed_disturbance(trials=8, first=4)
-    done = rod(assumed_reference(), came, 8)
+    came, old = assumed_disturbance(trials=8, first=4), assumed_reference()
+    done, new = rod(old, came, 8), old[:, ::-1]
     with pytest.warns(UserWarning, match="another disturbance came") as seen:
-        transfer(done, assumed_reference()[:, ::-1])
+        transfer(done, new)
     assert seen[0].filename == __file__
     since = done.isel(trial=slice(3, None))
-    assert transfer(since, assumed_reference()).predicted.min() > 0.9
-    after = transfer(since, assumed_reference()[:, ::-1]).v
-    error = rms(rod(assumed_reference()[:, ::-1], came[-1], v=after).e).item()
-    assert error < 0.1 * rms(rod(assumed_reference()[:, ::-1], came[-1]).e).item()
+    assert transfer(since, old).predicted.min() > 0.9
+    after = transfer(since, new).v
+    error, unlearned = (rms(rod(new, came[-1], v=v).e).item() for v in (after, None))
+    assert error < 0.1 * unlearned
 
 
 def test_the_uncertainty_is_of_the_size_of_the_error():
     """Of three tanks in one noisy task; with what a disturbance might add, and so larger."""
-    loop, plant, law, old, new = tanks_case()
-    best = run_trials(loop, law, new, trials=20, plant=plant).v.values[-1]
+    run, law, old, new = tanks_case()
+    best = run(new, 20).v.values[-1]
     noise, ratios = 0.02 * np.random.default_rng(0).standard_normal((2, 4, 400, 3)), []
     for white in noise:
-        trials = run_trials(loop, law, old, trials=4, plant=plant, noise=white)
-        transferred = transfer(trials, new)
+        transferred = transfer(run(old, 4, noise=white), new)
         off = law.Q.apply(transferred.v - best)[:-20]
         ratios.append(np.sqrt(np.mean(off**2, axis=0)) / transferred.uncertainty)
     assert 0.1 < np.median(ratios) < 2
     # Where a disturbance is seen, the jackknife alone: the fit by differences is off by 0.0003.
-    flow = 5 * np.sin(np.arange(400) / 30)[:, None] * np.ones(len(loop.disturbances))
-    trials = run_trials(loop, law, old, flow, trials=4, noise=noise[0])
+    trials = run(old, 4, 5 * np.sin(np.arange(400) / 30)[:, None], noise=noise[0])
     assert transfer(trials, new).uncertainty.min() > 0.01
 
 
