@@ -57,13 +57,13 @@ def page(browser):
 
 @pytest.fixture
 def lab(tmp_path):
-    """Address of a JupyterLab as `make lab` starts it, at the cell of the workbench alone."""
+    """Address of a JupyterLab as `make lab` starts it, with the cell of the workbench alone."""
     book = nbformat.read(ROOT / "notebooks" / "12-workbench.ipynb", 4)
     book.cells = [cell for cell in book.cells if "panel = open_workbench(" in cell.source]
     settings = shutil.copytree(
         ROOT / "notebooks" / ".jupyterlab", tmp_path / "notebooks/.jupyterlab"
     )
-    nbformat.write(book, settings.with_name("12-workbench.ipynb"))
+    nbformat.write(book, settings.with_name("01-model.ipynb"))
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     options = re.search(r"jupyter lab \$\(LAB\) (.*?) #", makefile)[1].split()
     with socket.socket() as free:

@@ -13,6 +13,7 @@ from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of
 from ilctools.response.response import Response
+from ilctools.response.roughness import scatter
 from ilctools.signals import Signals, check_match
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
@@ -20,6 +21,7 @@ LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is cho
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
 # relative: imaginary part that the rounding of a table may leave of a real response
 IMAGINARY = 1e-6
+SCATTERED = 4  # times the RMS by which the lines scatter, that noise may
 # Of tables in Hz that end by 1 / (2 Ts), of 88 plants, a polynomial of TERMS over NEAR of it misses
 # less than MISSED of Im P in 76 %, with noise of 2 % in 33 %; of tables in rad/s 0.04 and more
 LAST, NEAR, TERMS, MISSED = 0.01, 0.2, 6, 0.03
@@ -185,7 +187,8 @@ def _refuse_other_units(name, omega, responses, Ts):
             continue
         for P in responses:
             size, imaginary = (np.abs(x).max(axis=(1, 2)) for x in (P, P.imag))
-            real = imaginary[-1] <= IMAGINARY * size.max() < imaginary.max()
+            rounding = max(IMAGINARY * size.max(), SCATTERED * scatter(omega, P) * size[-1])
+            real = imaginary[-1] <= rounding < imaginary.max()
             if (real and short < IMAGINARY) or (further > FURTHER and _mirrored(omega, P, end)):
                 raise ValueError(
                     f"{name} ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as "
