@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 
 from ilctools import arguments
-from rodlib.rod import Rod, midr, named
+from rodlib.rod import Rod, labelled, midr
 from rodlib.rod import modes as modes_of
 
 
@@ -108,7 +108,7 @@ def modal_series(rod: Rod, modes: int) -> control.StateSpace:
     arguments.instance("rod", rod, Rod)
     n = np.arange(arguments.whole("modes", modes, 1, 10_000))
     s, B, C = modes_of(rod, n)
-    return named(rod, np.diag(s), B, C)
+    return labelled(rod, np.diag(s), B, C)
 
 
 def balanced_truncation(rod: Rod, states: int, inputs: Sequence[str]) -> control.StateSpace:
@@ -141,7 +141,7 @@ def balanced_truncation(rod: Rod, states: int, inputs: Sequence[str]) -> control
     U, hankel, Vh = np.linalg.svd(S.T @ R)
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
-    return named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
+    return labelled(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
 
 
 def _model(rod, M, K, heat, C):
@@ -149,7 +149,7 @@ def _model(rod, M, K, heat, C):
     density = rod.sections / (rod.width * rod.height * rod.length)
     F = np.column_stack([density * heat, rod.kappa_2 * heat.sum(axis=1)])
     A = -np.linalg.solve(M, rod.conductivity * K + rod.kappa_2 * M) / rod.kappa_1
-    return named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, C)
+    return labelled(rod, A, np.linalg.solve(M, F) / rod.kappa_1, C)
 
 
 def _gramian_root(A, B):

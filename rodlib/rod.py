@@ -153,7 +153,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     # (8): kappa_1 G dx/dt = (lambda F - kappa_2 G) x + S u + kappa_2 a theta_a
     A = np.linalg.solve(G, rod.conductivity * F - rod.kappa_2 * G) / rod.kappa_1
     B = np.linalg.solve(G, np.hstack([S, rod.kappa_2 * a])) / rod.kappa_1
-    return named(rod, A, B, theta(np.array(rod.sensors)))  # (9)
+    return labelled(rod, A, B, theta(np.array(rod.sensors)))  # (9)
 
 
 def _weighted(rod, degree, function):
@@ -188,7 +188,7 @@ def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return s, B, np.cos(np.outer(rod.sensors, waves))
 
 
-def named(rod: Rod, A, B, C) -> control.StateSpace:
+def labelled(rod: Rod, A, B, C) -> control.StateSpace:
     """A model with the signals of a rod."""
     return control.ss(A, B, C, 0, inputs=rod.inputs, outputs=rod.outputs, name="rod")
 

@@ -13,7 +13,7 @@ import numpy as np
 from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop, close
 from rodlib.held import sampled_response
-from rodlib.rod import Rod, midr, named
+from rodlib.rod import Rod, labelled, midr
 
 PAPER = Rod()
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
@@ -47,7 +47,7 @@ class Specimen:
         """The specimen behind a zero-order hold, by :func:`rodlib.midr` of degree 12."""
         model = midr(self.rod, degree=12)
         B = model.B * np.append(self.gains, 1)  # of the elements, and of the air
-        return control.sample_system(named(self.rod, model.A, B, model.C), Ts, method="zoh")
+        return control.sample_system(labelled(self.rod, model.A, B, model.C), Ts, method="zoh")
 
 
 @dataclass(frozen=True)

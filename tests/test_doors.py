@@ -86,7 +86,7 @@ RIGHT = {
     "channels": 1, "step": 0.1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
     "structure": "full", "e": xr.DataArray(SIGNAL, dims=("time", "channel")),
     "sensor_psd": 1.0, "sensor_variance": 1.0, "new": NOISE, "problem": DESIGN.problem,
-    "solution": DESIGN.solution, "design": DESIGN, "rig": RIG, "excitation": EXCITATION,
+    "rig": RIG, "excitation": EXCITATION,
 }  # fmt: skip
 
 # What else does not belong at a door.
@@ -174,7 +174,6 @@ DOORS = [
         | dict.fromkeys(["Ts", "reference", "v"]),
     ),
     ilctools.worst_case,
-    ilctools.violation_probability,
     alternatives.pd_type,
     alternatives.gradient,
     ilctools.NormOptimal,

@@ -1,4 +1,4 @@
-"""What counts as the same, of texts and of pictures: what a reader cannot tell apart.
+"""What counts as the same, of texts and of pictures: what a reader cannot distinguish.
 
 Processors differ in the last digits of a sum, and no number of them tried proves that the next one
 does not. So a printed number may differ by one unit of its last digit, whether it is rounded to

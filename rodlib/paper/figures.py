@@ -25,8 +25,8 @@ BLACK = {"color": "black"}
 GRAY = {"color": "0.55"}
 BLACK_DASHED = BLACK | {"linestyle": "--"}
 GRAY_DASHED = GRAY | {"linestyle": "--"}
-# of channels: vermilion, blue, green and orange are Okabe and Ito's, whom colour-blind readers tell
-# apart (their palette, 2008)
+# of channels: vermilion, blue, green and orange are Okabe and Ito's, which the colour-blind can
+# distinguish (their palette, 2008)
 SHADES = ("black", "0.55", "#D55E00", "#0072B2", "#009E73", "#E69F00")
 ACCENT = {"color": SHADES[2]}  # for what the paper does not show
 MARK = ACCENT | {"linestyle": ":", "linewidth": 1}  # of bounds, cut-offs, ends of a band

@@ -21,7 +21,6 @@ MODULES = {
     "evidence.finite": "trial_map trial_norm trial_operators",
     "evidence.noise": "converged_noise trial_noise",
     "evidence.robustness": "worst_case",
-    "evidence.scenario": "violation_probability",
     "alternatives": "NormOptimal",
     "trials.rms": "rms",
     "trials.run": "run_trials",

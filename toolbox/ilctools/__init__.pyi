@@ -12,7 +12,6 @@ from ilctools.evidence.finite import trial_operators as trial_operators
 from ilctools.evidence.noise import converged_noise as converged_noise
 from ilctools.evidence.noise import trial_noise as trial_noise
 from ilctools.evidence.robustness import worst_case as worst_case
-from ilctools.evidence.scenario import violation_probability as violation_probability
 from ilctools.filters import LearningFilter as LearningFilter
 from ilctools.filters import zero_phase_butterworth as zero_phase_butterworth
 from ilctools.law.law import Law as Law

@@ -92,20 +92,20 @@ def _joined(problem, omega, P, Q, radius):
     response = problem.response
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
-    def joined(own, further, axis=0):
+    def extended(own, further, axis=0):
         return np.concatenate([own, further], axis).take(order, axis)
 
     zero = np.zeros(len(problem.omega))
-    radius = joined(zero if response.radius is None else response.radius, radius)
+    radius = extended(zero if response.radius is None else response.radius, radius)
     response = replace(
         response,
-        omega=joined(response.omega, omega),
-        P=joined(response.P, P, axis=1),
+        omega=extended(response.omega, omega),
+        P=extended(response.P, P, axis=1),
         radius=radius if radius.any() else None,
     )
     objective = problem.objective
-    objective = replace(objective, weights=joined(objective.weights, 0 * omega))
-    return replace(problem, response=response, Q=joined(problem.Q, Q), objective=objective)
+    objective = replace(objective, weights=extended(objective.weights, 0 * omega))
+    return replace(problem, response=response, Q=extended(problem.Q, Q), objective=objective)
 
 
 def part(problem: Problem, chosen) -> Problem:

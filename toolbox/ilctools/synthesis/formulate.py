@@ -71,7 +71,7 @@ def _long(X):
     return np.ascontiguousarray(np.moveaxis(X, 0, -1), dtype=complex)
 
 
-def joined(*bounds) -> Bound:
+def side_by_side(*bounds) -> Bound:
     """Bounds with matrices of one size as one."""
     return Bound(
         np.concatenate([bound.F for bound in bounds], axis=2),
@@ -140,7 +140,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     M = bound_on_M(problem, 0 * nominal, nominal, None, of_M[nominal])
     L = Bound(0 * W, W, every, 0 * every + of_L)
     cuts = bound_on_M(problem, plant, frequency, radius, of_cuts)
-    bounds = (joined(M, L, cuts),) if radius is None else (joined(M, L), cuts)
+    bounds = (side_by_side(M, L, cuts),) if radius is None else (side_by_side(M, L), cuts)
     basis, R = whitened_basis(problem)
     rows, cols = entries_of(problem.channels, problem.structure)
     most = GENEROUS if problem.objective.kind == "gain" else problem.M_max
