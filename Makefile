@@ -92,7 +92,7 @@ lab: $(BIN)/ready  ## JupyterLab, at notebook 1 (as root: make lab LAB=--allow-r
 		--LabApp.app_settings_dir=notebooks/.jupyterlab  # where notebooks are saved on request only
 
 notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit
-	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \
+	TQDM_DISABLE=1 $(BIN)/jupyter nbconvert --to notebook --execute --inplace \
 		--ExecutePreprocessor.record_timing=False $(NOTEBOOKS)
 
 stubs: $(BIN)/ready  ## write the packages' stubs, which editors read, from their registries

@@ -1,5 +1,7 @@
 """nbval compares what a reader sees: the last digit of a number may be off by one."""
 
+import os
+
 
 class Shown(str):
     """An output of a cell."""
@@ -16,6 +18,7 @@ class Shown(str):
 
 
 def pytest_itemcollected(item):
-    """Let a cell compare its outputs so."""
+    """Let a cell compare its outputs so; how long it takes is not among them."""
     if type(item).__name__ == "IPyNbCell":
+        os.environ["TQDM_DISABLE"] = "1"  # of the kernels
         item.sanitize = lambda output: Shown(output) if isinstance(output, str) else output

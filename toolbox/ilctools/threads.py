@@ -4,12 +4,15 @@ On one thread sums are also taken in one order, so that the digits are those of 
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from functools import cache, wraps
 from itertools import repeat
 from threading import Lock
 from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
+
+from ilctools.progress import watched
 
 pools = cache(ThreadpoolController)  # to look for them takes milliseconds
 lock, inside = Lock(), []  # an entry for each function that runs; the first is what there was
@@ -21,16 +24,18 @@ Function = TypeVar("Function", bound=Callable)  # with its signature, for editor
 def on_one_thread(function: Function) -> Function:
     """The function, with the threads of BLAS held to one while it runs.
 
-    They are those of the process. Where it runs in several threads at once, the first one in sets
-    the limit, and the last one out restores what there was.
+    It shows that it runs, if it takes long. The threads are those of the process: where it runs in
+    several at once, the first one in sets the limit, and the last one out restores what there was.
     """
 
     @wraps(function)
     def held(*args, **keywords):
         with lock:
-            inside.append(None if inside else exchanged(repeat(1)))
+            first = not inside
+            inside.append(exchanged(repeat(1)) if first else None)
         try:
-            return function(*args, **keywords)
+            with watched(function.__name__) if first else nullcontext():
+                return function(*args, **keywords)
         finally:
             with lock:
                 before = inside.pop()

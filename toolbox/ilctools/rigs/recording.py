@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from tqdm import tqdm
 
 from ilctools import arguments
 from ilctools.files import alone, append, regular
@@ -16,6 +15,7 @@ from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.notes import KEYS, RESET
 from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
 from ilctools.logs.reader import read_log
+from ilctools.progress import progress
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
@@ -80,12 +80,12 @@ class Experiment:
         """Run them, each of which is saved, and warn of what it shows."""
         rig, ended, count, shown = self.rig, len(self.trials), len(self.reference), set()
         loop, names = rig.loop, (rig.loop.outputs, rig.loop.controls, rig.recorded)
-        with tqdm(total=self.reference[ended:, :, 0].size, disable=None) as bar:
+        with progress(total=self.reference[ended:, :, 0].size) as bar:
             saved = writer.submit(int)
             if rig.goes_on:
                 rig.begin(ended + 1)
             for k in range(ended, count):
-                bar.set_description(f"trial {k + 1} of {count}")
+                bar.set_description(f"trial {k + 1} of {count}", refresh=False)
                 trial, late = self.run_trial(k, pause, bar)
                 self.trials.append(trial)
                 signals = joined(self.trials, np.stack)

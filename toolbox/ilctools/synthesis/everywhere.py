@@ -7,7 +7,6 @@ for all.
 from dataclasses import replace
 
 import numpy as np
-from tqdm import tqdm
 
 from ilctools.problem.grid import on_a_grid, part
 from ilctools.problem.problem import Problem, Solution
@@ -28,7 +27,7 @@ def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution
     if nearest:
         peak = replace(grid.objective, kind="peak")
         grid = replace(grid, objective=peak, bounds=replace(grid.bounds, M_max=np.inf))
-    for _ in tqdm(range(ROUNDS), "bounds at every frequency", leave=False, delay=3, disable=None):
+    for _ in range(ROUNDS):
         wider = part(grid, chosen)
         solution = solve(wider)
         share = np.where(chosen, 0, _share(grid, solution))

@@ -13,7 +13,6 @@ each frequency. It is computed in long doubles, see :func:`ilctools.filters.time
 from dataclasses import dataclass
 
 import numpy as np
-from tqdm import tqdm
 
 from ilctools.filters import time_shifts
 from ilctools.problem.problem import Cuts, Problem, Solution
@@ -27,7 +26,7 @@ SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 def orthonormalise(A):
     """A = Q R by Gram and Schmidt, in the precision of A; NumPy's QR is for doubles only."""
     Q, R = A.copy(), np.zeros((A.shape[1],) * 2, dtype=A.dtype)
-    for j in tqdm(range(A.shape[1]), "basis of L", leave=False, delay=3, disable=None):
+    for j in range(A.shape[1]):
         for _ in range(3):  # one pass loses a digit for each of the condition number
             share = Q[:, :j].T @ Q[:, j]
             Q[:, j] -= Q[:, :j] @ share

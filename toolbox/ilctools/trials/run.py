@@ -13,7 +13,6 @@ from functools import partial
 import control
 import numpy as np
 import xarray as xr
-from tqdm import tqdm
 
 from ilctools import arguments
 from ilctools.law.law import Law
@@ -21,6 +20,7 @@ from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.notes import NO_RESET, RESET
 from ilctools.loop.closed import CurrentTrialLoop, Loop, whole_loop
 from ilctools.models import state_sequence
+from ilctools.progress import PATIENCE, progress
 from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import asked_of, disturbances_of, joined, learn, next_v
@@ -141,7 +141,7 @@ def run_trials(
 def _learned(simulated, following, reset, *inputs):
     """The signals of trials, by reference, disturbance and noise, (trial, time, channel)."""
     references, flows, white = map(np.concatenate, inputs)
-    with tqdm(total=len(references), desc="samples", delay=3, disable=None) as bar:
+    with progress(total=len(references), desc="samples", delay=PATIENCE) as bar:
 
         def run(w, now):
             bar.update(len(w))
@@ -215,6 +215,11 @@ def _warnings(result, law, exact, from_rest):
         u = law.loop.asked(result).values
         if beyond := commands_beyond(u, law.loop.commands, law.limits):
             yield beyond + CUT_OFF
+    if not result.y.any() and law.loop.asked(result).any():
+        yield (
+            f"no output moves in the {result.sizes['time']} samples of a trial: it is not longer "
+            "than the delay of the plant"
+        )
     if law.L is not None and from_rest:
         r = result.reference.values
         rest = Start.of(0 * r[0], r[0], law.loop)

@@ -42,7 +42,6 @@ Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tqdm import tqdm
 
 from ilctools.synthesis.solver.inequalities import (
     Slack,
@@ -275,7 +274,7 @@ def follow(p, enough=0.0):
     program, best, smallest, stagnant = p.program, None, np.inf, 0
     idle, _ = program.without_learning()
     unit, largest = 1e-4 * program.cost @ idle, program.cost.sum() * program.limits[0]
-    for iteration in tqdm(range(STEPS), "interior point", leave=False, delay=3, disable=None):
+    for iteration in range(STEPS):
         total = p.complementarity
         gap = max(total, abs(p.objective - p.dual_value))
         if (p.limits == program.limits).all():
