@@ -166,7 +166,8 @@ class NormOptimal:
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
-        signal = arguments.array("signal", signal, (..., self.samples, self.channels))
+        name = f"signal, for an L of samples = {self.samples},"
+        signal = arguments.array(name, signal, (..., self.samples, self.channels))
         return self._solved(signal @ self._model[1])[..., self.P.nstates :]
 
     def apply_transposed(self, signal) -> np.ndarray:

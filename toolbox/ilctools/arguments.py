@@ -18,7 +18,7 @@ import numpy as np
 
 CIRCLE = 1 - 1e-12  # modulus from which on a pole counts as on the unit circle: rounding of poles
 PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
-LATE = 1e-3  # of Ts: by how much times may be rounded
+LATE = 1e-3  # of Ts, of the Nyquist frequency: by how much times and frequencies may be rounded
 ROLES = {  # coordinates that name signals, and what a log calls them all
     "output": "outputs",
     "control": "controls",
@@ -92,13 +92,15 @@ def different(name: str, value) -> list[str]:
     """A list of names, each once."""
     listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
     if not (listed and all(isinstance(n, str) for n in value)) or len({*value}) < len(value):
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be different names")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a list of different names")
     return list(value)
 
 
 def by_name(name: str, value, names: Sequence[str]) -> dict:
     """A dict that says something about some of the signals `names`; None says nothing."""
-    given = instance(name, {} if value is None else value, dict)
+    if not isinstance(value, dict | None):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a dict by the names of signals")
+    given = value or {}
     unknown = [key for key in given if key not in names]
     if unknown:
         raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
@@ -153,7 +155,7 @@ def check_times(name: str, times, Ts: float) -> None:
 
 def each_trial(name, signal, trials, samples, names, Ts):
     """A signal of all trials, or of each, with the trial as the first axis."""
-    times = getattr(signal, "index" if hasattr(signal, "columns") else "time", None)
+    times = getattr(signal, "index", getattr(signal, "time", None))  # of pandas, of xarray
     if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
         check_times(name, times, Ts)
     signal = in_columns(name, signal, (...,), names)
@@ -183,7 +185,10 @@ def stable(name: str, poles) -> float:
     """The largest modulus of the poles of a system in discrete time, which must settle."""
     radius = np.abs(poles).max(initial=0)
     if radius > CIRCLE:
-        raise ValueError(f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
+        raise ValueError(
+            f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more; take the loop "
+            "that stabilises it, such as that of current_trial_loop"
+        )
     return radius
 
 
@@ -206,7 +211,10 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
             why = f"it is a Dataset: pass one of its variables, {', '.join(map(str, value))}"
         raise ValueError(f"{name} must be an array of numbers, but is none; {why}") from None
     if plain.dtype.kind not in "iufc":
-        raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
+        remedy = f": pass its attribute {name}" if hasattr(value, name) else ""
+        raise ValueError(
+            f"{name} holds values of type {plain.dtype}, but must hold numbers{remedy}"
+        )
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
     _check_shape(name, plain.shape, tuple(shape))
@@ -260,18 +268,24 @@ def row(name: str, value, dtype: type = float) -> np.ndarray:
 
 def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
     """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
-    omega = array(name, value, ("frequency",))
-    if len(omega) < 2 or not np.all(np.diff(omega) > 0):
-        raise ValueError(f"{name}, of shape {omega.shape}, must be a row of increasing frequencies")
-    return up_to_nyquist(name, omega, Ts)
+    omega = up_to_nyquist(name, array(name, value, ("frequency",)), Ts)
+    falls = np.flatnonzero(np.diff(omega) <= 0)
+    if len(omega) < 2 or len(falls):
+        rows = [f": row {k + 1} is not above row {k}; sort them, and those of P" for k in falls]
+        raise ValueError(
+            f"{name}, of shape {omega.shape}, must be a row of increasing frequencies"
+            + "".join(rows[:1])
+        )
+    return omega
 
 
 def up_to_nyquist(name: str, omega: np.ndarray, Ts: float) -> np.ndarray:
     """Angular frequencies, rad/s, none of them below zero or above the Nyquist frequency."""
-    if omega.min() < 0 or omega.max() > np.pi / Ts * (1 + 1e-9):
+    nyquist = np.pi / Ts
+    if omega.min() < 0 or omega.max() > nyquist * (1 + LATE):
         raise ValueError(
             f"{name} spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
-            f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
+            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
             "either is in another unit"
         )
-    return omega
+    return np.minimum(omega, nyquist)

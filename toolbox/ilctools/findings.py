@@ -21,7 +21,7 @@ WORDS = {
     "is promised holds for them, not for the plant: pass the radius as `uncertainty`, or a record, "
     "measured_response(log)",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
-    "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?",
+    "exp(-j omega t), then pass P.conj(), or in other units of omega?",
     "idle": "the filter leaves {value:.0%} of the error that counts",
     "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
     "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",

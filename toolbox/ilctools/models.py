@@ -213,7 +213,7 @@ def model_and_response(name: str, plant, omega, Ts: float):
             f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: control.sample_system samples at Ts"
         )
     if measured:
-        return None, _samples_on(name, plant, omega)
+        return None, _samples_on(name, plant, omega, np.pi / Ts)
     model = None
     if isinstance(plant, control.StateSpace):
         model = arguments.state_space(name, plant)
@@ -226,9 +226,10 @@ def model_and_response(name: str, plant, omega, Ts: float):
     return None, np.moveaxis(plant(z).reshape(*plant.shape, len(z)), -1, 0)
 
 
-def _samples_on(name, P, omega):
+def _samples_on(name, P, omega, nyquist):
     """Samples of python-control's frequency response data, which must be those on omega."""
-    if len(P.omega) != len(omega) or not np.allclose(P.omega, omega, rtol=1e-9, atol=0):
+    own = np.minimum(P.omega, nyquist)  # whose rounding may pass it
+    if len(own) != len(omega) or not np.allclose(own, omega, rtol=1e-9, atol=0):
         raise ValueError(
             f"{name} is known at {len(P.omega)} frequencies, which are not those of omega: pass "
             f"omega = {name}.omega, or {name} = measured_response({name}), splined between them"

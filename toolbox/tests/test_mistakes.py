@@ -28,6 +28,7 @@ from ilctools import (
     Controller,
     Law,
     LearningFilter,
+    NormOptimal,
     converged_noise,
     convergence,
     current_trial_loop,
@@ -36,6 +37,7 @@ from ilctools import (
     load_log,
     measured_response,
     multisine,
+    read_table,
     record,
     replay,
     rms,
@@ -93,11 +95,18 @@ REFUSED = {  # what the error says, and a call
     "(?s:.*)omega is in Hz": lambda: convergence(P, Q, IN_MS, OMEGA / (2 * np.pi)),
     "omega must be given: P is an array": lambda: convergence(P, Q, IN_MS),
     "omega must be given, as Q": lambda: synthesise(LOOP, np.ones(60)),
-    "omega holds": lambda: synthesise(LOOP, OMEGA, Q),
-    "omega, .* must be a row of increasing": lambda: synthesise(
+    "omega = Zero.*Q comes second": lambda: synthesise(LOOP, OMEGA, Q),
+    "omega, .* a row of increasing frequencies: row 1 is not above row 0; sort": lambda: synthesise(
         P, OMEGA, Q.frequency_response(OMEGA), TS
     ),
     "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
+    "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
+    "log is real at each frequency": lambda: measured_response(
+        control.frd(20 * np.log10(np.abs(P.T)), OMEGA)
+    ),
+    r"outputs\['T'\] = 'T' is another signal's column": lambda: read_table(
+        labelled("u", "T"), Ts=1.0, inputs={"u": "T"}, outputs={"T": "T"}
+    ),
     # what is no plant, no filter, no log
     "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
     "Q = Trans.* one direction only: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
@@ -169,9 +178,10 @@ REFUSED = {  # what the error says, and a call
     # a loop that is not ours
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
     "P.Ts = 1.0, loop.Ts = 0.2": lambda: ClosedLoop(LAG, 0.2),
-    "P is unstable": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
+    "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
     "P.dt = 0": lambda: ClosedLoop(control.ss(-1.0, 1, 1, 0)),
     "P has 2 inputs and 1 outputs": lambda: ClosedLoop(axes()[0, :]),
+    "outputs = 'x' must be a list of": lambda: ClosedLoop(LAG, outputs="x"),
     r"outputs = \['a'\]": lambda: ClosedLoop(axes(), outputs=["a"]),
     r"outputs = \['a', 'a'\]": lambda: ClosedLoop(axes(), outputs=["a", "a"]),
     r"controls = \['a'\]": lambda: ClosedLoop(axes(), controls=["a"]),
@@ -193,6 +203,12 @@ REFUSED = {  # what the error says, and a call
     "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
     r"limits\['Q1'\]": lambda: replace(LAW, limits={"Q1": (1, 0)}),
     r"limits\['pump A'\]\[2\] = 0": lambda: replace(LAW, limits={"pump A": (0, 1, 0)}),
+    "v is named 'e', and e is named 'v'": lambda: LAW.next(LOG.e[1], LOG.v[1]),
+    "v holds .* pass its attribute v": lambda: run_trials(LOOP, LAW, MOVE, v=transfer(LOG, MOVE)),
+    "signal, for an L of samples = 30": lambda: run_trials(
+        LOOP, replace(LAW, L=NormOptimal(LAG, 0.1, 30)), MOVE
+    ),
+    r"limits = \(0, 1\) must be a dict by the names": lambda: replace(LAW, limits=(0, 1)),
     "limits is about": lambda: replace(BOUND, limits={"fan": (0, 1)}),
     "rest = 3 ": lambda: replace(LAW_OF_TWO, rest=3).next(ZERO[:3], ZERO[:3]),
     "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),
@@ -222,6 +238,9 @@ SAID = {  # what a warning says, and simulated trials that cannot work
         AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
         plant=control.ss(TURNED, outputs=["x", "y"]),
     ),
+    "^no output moves in the 60 samples of a trial": lambda: run_trials(
+        ClosedLoop(furnace(60)), LAW, MOVE, None, 2
+    ),
     f"^the reference starts {LATE[0]:.3g} in x from where trials do": lambda: run_trials(
         LOOP, LAW, LATE, None, 2
     ),
@@ -238,12 +257,18 @@ def test_simulated_trials_that_cannot_work_are_warned_of(words):
     assert len(seen) == 1 and seen[0].filename == __file__
 
 
-@pytest.mark.parametrize("wrong", [P.conj(), np.abs(P)])
-def test_a_phase_that_no_stable_plant_has_is_said(wrong):
-    """That of exp(-j omega t), or none."""
+def test_a_phase_that_no_stable_plant_has_is_said():
     synthesise(P, Q, OMEGA)
     with pytest.warns(UserWarning, match=r"the phase of P leads .* pass P.conj\(\)"):
-        synthesise(wrong, Q, OMEGA)
+        synthesise(P.conj(), Q, OMEGA)
+
+
+def test_frequencies_may_be_rounded():
+    """Of a table that ends at the Nyquist frequency, 3141.59 rad/s: as it, and not beyond."""
+    omega = np.append(OMEGA[:-1], 3142)
+    table = control.frd(P.T, omega, TS)
+    for design in (synthesise(P, Q, omega), synthesise(table, Q)):
+        assert design.certificate.rate == synthesise(P, Q, OMEGA).certificate.rate
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -354,7 +379,7 @@ def test_a_reference_with_times_of_another_period_is_refused():
     times = np.arange(60) * 0.5
     table = pd.DataFrame({"x": MOVE}, index=times)
     labelled = xr.DataArray(table, dims=("time", "output"), coords={"time": times})
-    for reference in (table, labelled):
+    for reference in (table, table.x, labelled):
         with pytest.raises(ValueError, match=r"reference has times .* 0\.5 s, but Ts is 1 s"):
             run_trials(LOOP, LAW, reference)
         with pytest.raises(ValueError, match="resample it"):

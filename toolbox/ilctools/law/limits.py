@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.models import state_sequence
+from ilctools.models import balanced, state_sequence
 
 try:
     import piqp
@@ -177,6 +177,7 @@ def _nearest(loop, actuators, u, weight, samples):
 def _program(loop, weight, samples, active):
     """Of all x, then of all z before the rest: the cost, the dynamics, the commands."""
     P, (K, N), m, n = loop.P, _feedback(loop), len(loop.outputs), loop.P.nstates
+    A, B, CK = balanced(P.A, P.B, np.vstack([P.C, K]))  # else feasible programs may fail
     now = sparse.eye_array(samples, format="csc")
     before = sparse.eye_array(samples, k=-1, format="csc")
 
@@ -185,7 +186,7 @@ def _program(loop, weight, samples, active):
             [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)], format="csr"
         )
 
-    y = rows(now, P.C, P.D)
+    y = rows(now, CK[:m], P.D)
     of_z = np.repeat([0, weight], [samples * n, active * m])
-    dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, P.A, P.B)
-    return y.T @ y + sparse.diags_array(of_z), dynamics, rows(now, K, N)[: active * m]
+    dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, A, B)
+    return y.T @ y + sparse.diags_array(of_z), dynamics, rows(now, CK[m:], N)[: active * m]

@@ -28,7 +28,7 @@ def mean_step(table: pd.DataFrame) -> float:
         raise LogError("time: the clock runs back within trials: sort the rows, or number trials")
     steps = steps[steps > 0]
     if steps.empty:
-        raise LogError("time: the clock stands still, or there is one row: state Ts")
+        raise LogError("time: the clock stands still, or there are fewer than two rows: state Ts")
     mean = steps.sum() / np.round(steps / steps.median()).sum()
     slack = min(np.ptp(steps), ROUNDING * mean)
     rounded = (float(f"{mean:.{digits}e}") for digits in range(12))

@@ -115,6 +115,10 @@ def read_table(
         disturbances=disturbances,
         measured=measured,
     )
+    titles = [time, *chain(*(columns.values() for columns in asked.values()))]
+    for name, title in outputs.items():
+        if titles.count(title) > 1:
+            raise ValueError(f"outputs[{name!r}] = {title!r} is another signal's column, too")
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
@@ -135,7 +139,9 @@ def _checked(**asked):
     """The arguments that ask for columns."""
     asked = {argument: columns for argument, columns in asked.items() if columns is not None}
     for argument, columns in asked.items():
-        arguments.different(f"names in {argument}", [*arguments.instance(argument, columns, dict)])
+        arguments.different(
+            f"names in {argument}", [*arguments.by_name(argument, columns, columns)]
+        )
     return asked
 
 
@@ -165,7 +171,7 @@ def _column(frame, argument, column):
             return frame.iloc[:, place], parts[place][1]
     raise LogError(
         f"{argument} = {column!r} must be the title of one column, or a number from 0 to "
-        f"{len(titles) - 1}; the titles are {few(titles)}"
+        f"{len(titles) - 1}; the titles are {few(titles)}: else give sep or skiprows"
     )
 
 

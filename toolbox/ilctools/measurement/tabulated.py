@@ -8,7 +8,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
-from ilctools.response.measured import Measured, interpolated, radius_of
+from ilctools.response.measured import Measured, interpolated, radius_of, with_phase
 from ilctools.response.roughness import scattered
 
 
@@ -75,6 +75,7 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     arguments.square("log", table.ninputs, table.noutputs)
     shape = len(omega), "m", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
+    with_phase("log", P)
     radius = radius_of(0.0 if uncertainty is None else uncertainty, P)
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None

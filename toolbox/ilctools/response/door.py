@@ -11,7 +11,7 @@ from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
-from ilctools.response.measured import CONFIDENCE, Measured, radius_of
+from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import Response
 from ilctools.response.roughness import scatter
 from ilctools.signals import Signals, check_match
@@ -35,6 +35,10 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
         raise ValueError(
             f"Q = {reprlib.repr(Q)} is no filter, or one that runs in one direction only: pass "
             "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+        )
+    if isinstance(omega, ZeroPhaseButterworth):
+        raise ValueError(
+            f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
         )
     if Ts is None:
         Ts = _period(Q, *plants.values())
@@ -148,7 +152,7 @@ def _on_grid(plants, omega, Ts):
         if _axes(response) == 3 and len(response) == len(omega):
             _, outputs, inputs = np.shape(response)
             arguments.square(name, inputs, outputs)
-        responses.append(arguments.array(name, response, shape, complex))
+        responses.append(with_phase(name, arguments.array(name, response, shape, complex)))
         models.append(model)
         shape = responses[0].shape
     return models, np.array(responses)

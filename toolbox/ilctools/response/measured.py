@@ -141,6 +141,16 @@ def radius_of(uncertainty, P) -> np.ndarray:
     return radius
 
 
+def with_phase(name: str, P) -> np.ndarray:
+    """A table P, (n, m, m), refused if it is real and not constant, as no causal plant is."""
+    if not P.imag.any() and np.ptp(P.real, axis=0).any():
+        raise ValueError(
+            f"{name} is real at each frequency, but not constant, as no plant is: a gain without "
+            "its phase, or in dB? Pass complex values, gain * np.exp(1j * phase), phase in rad"
+        )
+    return P
+
+
 def probability(confidence) -> float:
     """A confidence, that of a region."""
     return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)

@@ -16,6 +16,7 @@ from scipy.optimize import lsq_linear
 from ilctools import (
     ClosedLoop,
     Law,
+    LearningFilter,
     NormOptimal,
     convergence,
     rate,
@@ -217,6 +218,18 @@ def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
     assert not run.v.values[:, -30:].any()
     assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()
     assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
+
+
+def test_states_may_be_counted_in_any_unit():
+    A, B, C = np.array([[0.98, 0.009], [-3.6, 0.8]]), np.array([[0.02], [3.6]]), np.eye(1, 2)
+    Q, L, v = zero_phase_butterworth(2, 40.0, 0.01), LearningFilter([[[0.3]]], 0.01), []
+    for unit in (np.ones(2), np.array([1, 1e-8])):
+        loop = ClosedLoop(
+            control.ss(A * unit / unit[:, None], B / unit[:, None], C * unit, 0, 0.01)
+        )
+        law = Law(Q, L, limits={"u[0]": (-0.01, 0.01)})
+        v.append(run_trials(loop, law, move(400, [1.0]), trials=3).v)
+    assert_allclose(*v, atol=1e-6)
 
 
 def test_without_a_model_commands_are_cut_off():
