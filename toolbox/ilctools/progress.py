@@ -8,11 +8,11 @@ import sys
 from contextlib import contextmanager
 from itertools import count
 from threading import Event, Thread, get_ident
+from traceback import walk_stack
 
 from tqdm import tqdm
 
 PATIENCE = 5  # s, from which on one wonders
-PACKAGE = __name__.partition(".")[0]
 
 
 def progress(**options) -> tqdm:
@@ -26,7 +26,7 @@ def progress(**options) -> tqdm:
 
 @contextmanager
 def watched(name: str):
-    """Show for how long what is called so has been running, and in which function it is."""
+    """Show for how long the function of this name has been running, and where it is."""
     ended, thread = Event(), get_ident()
 
     def watch():
@@ -34,12 +34,9 @@ def watched(name: str):
             return
         with progress(bar_format="{desc}", delay=0, leave=False) as shown:
             for seconds in count(PATIENCE):
-                frame, names = sys._current_frames().get(thread), []
-                while frame:
-                    if frame.f_globals["__name__"].startswith(PACKAGE):
-                        names.insert(0, frame.f_code.co_name)
-                    frame = frame.f_back
-                _, _, where = " > ".join(names).partition(f"{name} > ")
+                frames = walk_stack(sys._current_frames()[thread])
+                names = " > ".join([frame.f_code.co_name for frame, _ in frames][::-1])
+                where = names.partition(f"{name} > ")[2]  # nowhere, if it just ended
                 shown.set_description_str(f"{name}, {seconds} s: {where}")
                 if ended.wait(1):
                     return

@@ -1,34 +1,34 @@
 """A sign of life: what runs for long says so, and where it is."""
 
 import sys
-import time
 from io import StringIO
+from time import sleep
+
+import pytest
 
 from ilctools import progress
 from ilctools.threads import on_one_thread
 
 
 def wait(seconds):
-    time.sleep(seconds)
+    sleep(seconds)
 
 
 @on_one_thread
-def slow(seconds=0.3):
+def slow(seconds):
     wait(seconds)
 
 
-def test_what_takes_long_says_where_it_is_in_a_notebook(monkeypatch, capfd):
-    """And in no other file."""
-    monkeypatch.delenv("TQDM_DISABLE", raising=False)
-    monkeypatch.setattr(progress, "PATIENCE", 0.1)
-    monkeypatch.setattr(progress, "PACKAGE", __name__)
-    slow()
-    assert capfd.readouterr() == ("", "")
-    shown = type("OutStream", (StringIO,), {"__module__": "ipykernel.iostream"})()
+@pytest.mark.parametrize(
+    ("home", "seconds", "off", "said"),
+    [("ipykernel.iostream", 0.4, False, True), ("ipykernel.iostream", 0, False, False),
+     ("ipykernel.iostream", 0.4, True, False), ("io", 0.4, False, False)],
+)  # fmt: skip
+def test_what_takes_long_says_where_it_is(monkeypatch, home, seconds, off, said):
+    """In a notebook, until it ends; where it is not switched off."""
+    shown = type("Stream", (StringIO,), {"__module__": home})()
     monkeypatch.setattr(sys, "stderr", shown)
-    slow(0.01)
-    assert not shown.getvalue()
-    slow()
-    assert "\rslow, 0.1 s: wait" in shown.getvalue() and shown.getvalue().endswith(" \r")
-    monkeypatch.setenv("TQDM_DISABLE", "1")
-    assert progress.progress().disable
+    monkeypatch.setattr(progress, "PATIENCE", 0.1)
+    monkeypatch.setattr(progress.os, "environ", {"TQDM_DISABLE": "1"} if off else {})
+    slow(seconds)
+    assert ("\rslow, 0.1 s: wait" in shown.getvalue()) == said
