@@ -49,8 +49,8 @@ def test_the_gain_inverts_p_where_it_is_least_below_the_cutoff():
     """Below a peak P is smaller than at it; above the cut-off nothing is inverted."""
     omega, Q = np.linspace(0.05, np.pi, 60), zero_phase_butterworth(2, 0.5, 1.0)
     P = np.where(omega < 0.2, 0.5, np.where(omega < 0.7, 5.0, 1e-3))[:, None, None]
-    assert pose(P + 0j, Q, omega).L_max == 4 / 0.5
-    covered = pose(P + 0j, Q, omega, uncertainty=np.full(60, 2.0))
+    assert pose(1j * P, Q, omega).L_max == 4 / 0.5
+    covered = pose(1j * P, Q, omega, uncertainty=np.full(60, 2.0))
     assert covered.L_max == 4 / 2.0  # what is known to be smaller is not known to be there
 
 
