@@ -72,6 +72,7 @@ def test_what_is_at_a_limit_passes():
     assert arguments.row("x", 2.0).tolist() == [2.0]
 
 
+DATA = xr.Dataset({"y": 0.0, "e": 1.0})
 REFUSED = [  # a call, and how the error begins
     (lambda: arguments.increasing_frequencies("w", [0, 6.29], 0.5), "w spans"),
     (lambda: arguments.increasing_frequencies("w", [-0.1, 1], 0.5), "w spans"),
@@ -79,6 +80,7 @@ REFUSED = [  # a call, and how the error begins
     (lambda: arguments.increasing_frequencies("w", [1, 1], 0.5), "w, of shape"),
     (lambda: arguments.row("x", [[1, 2]]), r"x has shape \(1, 2\)"),
     (lambda: arguments.array("x", True, (...,)), "x holds values of type bool"),
+    (lambda: arguments.array("P", DATA, ("n",)), "P must .* a Dataset: pass .* variables, y, e"),
 ]
 
 
@@ -86,8 +88,3 @@ REFUSED = [  # a call, and how the error begins
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         call()
-
-
-def test_a_dataset_is_said_to_be_one():
-    with pytest.raises(ValueError, match=r"P must .* a Dataset: pass one of its variables, y, e"):
-        arguments.array("P", xr.Dataset({"y": 0.0, "e": 1.0}), ("n",))

@@ -1,9 +1,7 @@
-"""What a message names can be imported."""
+"""Exceptions of the toolbox have one home."""
 
 import importlib
 import pkgutil
-
-import pytest
 
 import ilctools
 from ilctools import errors
@@ -18,11 +16,3 @@ def test_every_exception_of_the_toolbox_is_in_one_place():
                     *ilctools.__all__
                 }
     assert errors.InfeasibleError is ilctools.InfeasibleError
-
-
-def test_a_rig_that_is_none_is_refused_by_a_name_that_is_a_door():
-    loop = ilctools.ClosedLoop(Ts=1.0, outputs=["y"])
-    law = ilctools.Law(ilctools.zero_phase_butterworth(2, 0.1, 1.0), None)
-    with pytest.raises(ValueError, match="must be a Rig"):
-        ilctools.record(3, loop, law, [[0.0]] * 70)
-    assert hasattr(ilctools.Rig, "read") and hasattr(ilctools.Rig, "apply")

@@ -181,7 +181,6 @@ REFUSED = {  # what the error says, and a call
     "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
     "P.dt = 0": lambda: ClosedLoop(control.ss(-1.0, 1, 1, 0)),
     "P has 2 inputs and 1 outputs": lambda: ClosedLoop(axes()[0, :]),
-    "outputs = 'x' must be a list of": lambda: ClosedLoop(LAG, outputs="x"),
     r"outputs = \['a'\]": lambda: ClosedLoop(axes(), outputs=["a"]),
     r"outputs = \['a', 'a'\]": lambda: ClosedLoop(axes(), outputs=["a", "a"]),
     r"controls = \['a'\]": lambda: ClosedLoop(axes(), controls=["a"]),

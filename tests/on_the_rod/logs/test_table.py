@@ -85,7 +85,7 @@ def read(folder, lines, **more):
         (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 0"),
         (["t;level", "0;1"], r"outputs\['h'\] = 'level' must be .* titles are \['t;level'\]"),
         (["t,level", *ROWS[:5], *ROWS[6:]], "row 5 is 1 s after the row before, where Ts = 0.5 s"),
-        (["t,level"], "clock stands still, or there is"),
+        (["t,level"], "clock stands still, or there are fewer than two rows"),
         (["t,level", "2,1", "1,2", "0,1"], "clock runs back within trials: sort"),
         ([], "No columns to parse"),
         (["PK\x03\x04"], "= 'level' must be"),
