@@ -12,6 +12,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop, close
+from ilctools.threads import on_one_thread
 from rodlib.held import sampled_response
 from rodlib.rod import Rod, labelled, midr
 
@@ -142,6 +143,7 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Sp
     return spread.specimen(deviations, nominal)
 
 
+@on_one_thread
 def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> np.ndarray:
     """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
 
