@@ -21,7 +21,7 @@ def slow(seconds):
 
 @pytest.mark.parametrize(
     ("home", "seconds", "off", "said"),
-    [("ipykernel.iostream", 0.4, False, True), ("ipykernel.iostream", 0, False, False),
+    [("ipykernel.iostream", 1.0, False, True), ("ipykernel.iostream", 0, False, False),
      ("ipykernel.iostream", 0.4, True, False), ("io", 0.4, False, False)],
 )  # fmt: skip
 def test_what_takes_long_says_where_it_is(monkeypatch, home, seconds, off, said):
