@@ -2,6 +2,8 @@
 
 import json
 import re
+from contextlib import chdir
+from pathlib import Path
 
 project = html_title = "The heated rod"
 
@@ -34,7 +36,8 @@ autodoc_member_order = "bysource"
 default_role = "code"  # of what stands in single backticks
 suppress_warnings = ["ref.python"]  # two classes with a field of one name
 html_theme = "sphinx_book_theme"
-html_static_path = html_css_files = ["pages.css"]
+html_css_files, html_js_files = ["pages.css"], ["trials.js"]
+html_static_path = html_css_files + html_js_files
 html_copy_source = False
 
 # The theme listens to the first button for each sidebar, which it hides, and shows another one.
@@ -47,12 +50,18 @@ MENUS = """addEventListener("DOMContentLoaded", () => {
 
 
 def fold(app, docname, source):
-    """Fold what JupyterLab folds: MyST-NB knows it by a tag. Code cells get an anchor each."""
+    """Fold what JupyterLab folds: MyST-NB knows it by a tag. Code cells get an anchor each.
+
+    Pictures get their captions as alternative texts, which MyST-NB reads of the cell alone.
+    """
     if docname.startswith("notebooks/"):
         notebook, cells = json.loads(source[0]), []
         for cell in notebook["cells"]:
             if cell["metadata"].get("jupyter", {}).get("source_hidden"):
                 cell["metadata"]["tags"] = ["hide-input"]
+            for output in cell.get("outputs", []):
+                if alt := output.get("metadata", {}).get("image/png", {}).get("alt"):
+                    cell["metadata"]["mystnb"] = {"image": {"alt": alt}}
             if cell["cell_type"] == "code":
                 anchor = f'<span id="cell-id={cell["id"]}"></span>'
                 at = {"cell_type": "markdown", "id": f"at-{cell['id']}", "metadata": {}}
@@ -72,6 +81,27 @@ def escape_bars(app, what, name, thing, options, lines):
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
+def draw_trials(app, exception):
+    """Frames for the slider of docs/trials.js: Fig. 9 as notebook 5 draws it, trial by trial."""
+    if exception or app.builder.name != "html":
+        return
+    book = json.loads(Path(app.srcdir, "notebooks/05-experiment-replay.ipynb").read_text("utf-8"))
+    cells = ["".join(cell["source"]) for cell in book["cells"] if cell["cell_type"] == "code"]
+    (drawn,) = (k for k, source in enumerate(cells) if '"fig09-recorded-signals"' in source)
+    names = {"print": lambda *text: None}
+    with chdir(Path(app.srcdir, "notebooks")):
+        for source in cells[:drawn]:
+            exec(source, names)  # the notebook's own
+        names["save"] = lambda *arguments: None  # which would close it
+        exec(cells[drawn], names)
+    figure, trials = names["figure"], len(names["numbers"])
+    for trial in range(trials):
+        for column in figure.axes:
+            for k, line in enumerate(column.lines, trials - len(column.lines)):
+                line.set(color="black" if k == trial else "0.88", zorder=3 if k == trial else 2)
+        figure.savefig(Path(app.outdir, "_static", f"fig09-trial-{trial + 1}.png"), dpi=144)
+
+
 def setup(app):
     """Draw formulas as SVG, since some browsers load no fonts for a page that is a file."""
     app.config.mathjax_path = "mathjax/tex-svg.js"
@@ -79,3 +109,4 @@ def setup(app):
     app.connect("source-read", fold)
     app.connect("source-read", lead_to_anchors)
     app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("build-finished", draw_trials)

@@ -147,6 +147,16 @@ def test_pages_show_all_there_is_without_a_network(page, tmp_path):
             wide, formulas, misprinted, lost = page.evaluate(LOADED)
             assert (wide, misprinted, lost) == (width, 0, 0), path
         assert formulas or path.parent.name != "notebooks"
+    page.goto((tmp_path / "notebooks/05-experiment-replay.html").as_uri())
+    slider, shown = page.locator("#trial"), page.locator("img:has(+ .trials)")
+    whole = shown.get_attribute("src")
+    for wide, key, ends in ((400, "End", "trial-10.png"), (1280, "ArrowLeft", "trial-9.png")):
+        page.set_viewport_size({"width": wide, "height": 900})
+        slider.press(key)
+        page.wait_for_function("e => e.naturalWidth", arg=shown.element_handle())
+        assert shown.get_attribute("src").endswith(ends) and page.evaluate(LOADED)[0] == wide
+    slider.press("Home")
+    assert shown.get_attribute("src") == whole
     assert all(url.startswith(("file:", "data:")) for url in requests)
     ledger = (tmp_path / "figures" / "ledger.html").read_text("utf-8")
     cells = {*re.findall(r'href="\.\./(notebooks/\S+\.html)#(cell-id=[^"]+)"', ledger)}
