@@ -1,4 +1,4 @@
-"""For how many rods does learning converge? Ten draws of 1000 rods, six laws, as in notebook 9.
+"""For how many rods does learning converge? 1000 rods, ten draws, laws of notebook 9 and two more.
 
 `make measure WHAT=study` judges them on rods whose parameters are off by up to 20 %, with their
 sensors in place, or off as well by up to 2 or 8 mm. The table, shares from the least to the most of
@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from runner import publish, run, table
 
-from ilctools import NormOptimal, convergence, synthesise
+from ilctools import NormOptimal, alternatives, convergence, synthesise
 from ilctools.filters import LearningFilter, zero_phase_butterworth
 from rodlib import Spread, assumed_reference, draw, paper_choices, paper_loop, responses
 from rodlib.paper import published
@@ -42,12 +42,15 @@ def laws():
     }
     peak = synthesise(P, Q, OMEGA, 1.0, **paper_choices(objective="peak"))
     lower = synthesise(P, LOWER, OMEGA, 1.0, **bounds)
+    far = synthesise(P, Q, OMEGA, 1.0, **bounds | {"order": 60, "L_max": 5.0})
     robust = synthesise([P, *drawn], LOWER, OMEGA, 1.0, **bounds | {"M_max": 0.95})
     return printed | {
         "(45) with (46)": (Q, peak.filter),
         "(39), lower cut-off": (LOWER, lower.filter),
         "for the drawn rods": (LOWER, robust.filter),
         "norm-optimal": (Q, NormOptimal(LOOP.P, 0.1, len(assumed_reference()))),
+        "gradient": (Q, alternatives.gradient(LOOP.P, 1.0)),
+        "(39), 60 ahead, L_max = 5": (Q, far.filter),
     }
 
 
