@@ -43,7 +43,8 @@ SETTINGS = {
     "15": [{"trials": 2, "cells": 48}, {"M_max": 0.6, "L_max": 200.0, "heat": 0.0}],
     "16": [{"trials": 3, "hours": 4.0}, {"trials": 4, "stronger": 12.0}],
     "17": [{"noise": 0.0, "trials": 3}, {"lag": 10.0, "noise": 0.1, "varying": 4}],
-    "18": [{"noise": 0.05, "trials": 6}, {"trials": 8, "draws": 2}],
+    "18": [{"noise": 0.05}, {"draws": 2}],
+    "19": [{"sigma": 0.1}, {"rest": 0}],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")

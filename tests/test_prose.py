@@ -1,7 +1,8 @@
 """Numbers in the prose of the notebooks: each is an output, in the ledger, or a choice in the code.
 
-In the README, in docs/answers.md and in the list of deviations each is one of the notebooks, or of the benchmarks, that the paragraph names; a cell of a
-notebook may have those of a benchmark that it names by `make measure WHAT=...`.
+In the README, in docs/answers.md and in the list of deviations each is one of the notebooks, or of
+the benchmarks, that the paragraph names; a cell of a notebook may have those of a benchmark that it
+names by `make measure WHAT=...`.
 
 Read are numbers in digits, in text, in formulas and in the captions of figures. Labels of
 equations, figures and the like, exponents, indices and sizes (2 x 2) are no results; neither are
