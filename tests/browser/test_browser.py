@@ -153,8 +153,8 @@ def test_pages_show_all_there_is_without_a_network(page, tmp_path):
     for wide, key, ends in ((400, "End", "trial-10.png"), (1280, "ArrowLeft", "trial-9.png")):
         page.set_viewport_size({"width": wide, "height": 900})
         slider.press(key)
-        page.wait_for_function("e => e.naturalWidth", arg=shown.element_handle())
         assert shown.get_attribute("src").endswith(ends) and page.evaluate(LOADED)[0] == wide
+        page.wait_for_function("e => e.naturalWidth", arg=shown.element_handle())
     slider.press("Home")
     assert shown.get_attribute("src") == whole
     assert all(url.startswith(("file:", "data:")) for url in requests)
