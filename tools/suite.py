@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from rodlib.paper.reproduce import longest_first
 
 ROOT = Path(__file__).resolve().parents[1]
-PYTEST = "-m pytest -q -rs -n 3 --dist loadfile --no-loadscope-reorder --nbval --nbval-current-env"
+PYTEST = "-m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder --nbval --nbval-current-env"
 
 
 def parts(build: Path, machine: bool) -> dict[str, list]:
