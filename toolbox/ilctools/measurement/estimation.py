@@ -169,15 +169,14 @@ class EstimatedResponse(Measured):
         return np.stack(ends, axis=1)
 
     def model(self) -> control.StateSpace:
-        """The model of lowest order within the joint radius of 99 %, where P is identified.
+        """The model of lowest order within the joint radius of 99 %.
 
         Its name says its order and its delays, which are states, too. A LogError if there is none
         of up to 60 states beside these; see :mod:`ilctools.measurement.realisation`.
         """
-        radius = self.radius(CONFIDENCE, jointly=True)[self.known]
-        P, angles = self.response[self.known], self.omega[self.known] * self.loop.Ts
-        g = self._impulse(2 * self.record.longest)
-        model = model_within(radius, P, angles, g, all(fit.stable for fit in self.fits))
+        radius, angles = self.radius(CONFIDENCE, jointly=True), self.omega * self.loop.Ts
+        g, stable = self._impulse(2 * self.record.longest), all(fit.stable for fit in self.fits)
+        model = model_within(radius, self.response, angles, g, stable)
         if model is None:
             raise LogError(
                 f"P has no model of up to {MOST} states within its radius: take its frequency "

@@ -5,7 +5,8 @@
 A and C are those of the balanced realisation of the impulse response g without its delays, by the
 singular values of its Hankel matrix (B. L. Ho and R. E. Kalman, Regelungstechnik 14 (1966) 545-548;
 S. Kung, 12th Asilomar Conference (1978) 705-714); a lower order has their first rows and columns.
-In B and D the response is linear: least squares, each frequency by its radius.
+In B and D the response is linear: least squares, each frequency by its radius; D is zero if
+g(0) is.
 """
 
 import control
@@ -26,13 +27,14 @@ def model_within(
     loud = np.abs(g) > SILENT * np.abs(g).max(axis=2, keepdims=True)
     late = np.maximum(np.argmax(loud, axis=2).min(axis=0) - 1, 0)  # one is that of the states
     for delay in (late, 0 * late):
-        A, C = _balanced(np.stack([np.roll(g[:, j], -d, 1) for j, d in enumerate(delay)], axis=1))
+        ahead = np.stack([np.roll(g[:, j], -d, 1) for j, d in enumerate(delay)], axis=1)
+        A, C = _balanced(ahead)
         waves = np.exp(-1j * np.outer(angles, delay))[:, None]
         for order in range(min(MOST, len(A)) + 1):
             A_r, C_r = A[:order, :order], C[:, :order]
             if stable and order and np.abs(np.linalg.eigvals(A_r)).max() >= 1:
                 continue
-            B, D, response = _fitted(A_r, C_r, P / waves, angles, radius)
+            B, D, response = _fitted(A_r, C_r, P / waves, angles, radius, ahead[..., 0].any())
             if np.all(largest_singular_values(response * waves - P) <= radius):
                 return _delayed(A_r, B, C_r, D, delay)
     return None
@@ -48,15 +50,17 @@ def _balanced(g):
     return model.A[:n, :n], model.C[:, :n]
 
 
-def _fitted(A, C, P, angles, radius):
+def _fitted(A, C, P, angles, radius, direct):
     """B and D by least squares, and the response."""
     n, p, _ = P.shape
     resolvent = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
     states = np.linalg.solve(resolvent.swapaxes(1, 2), np.broadcast_to(C.T, (n, *C.T.shape)))
-    X = np.concatenate([states.swapaxes(1, 2), np.broadcast_to(np.eye(p), (n, p, p))], axis=2)
+    eye = np.broadcast_to(direct * np.eye(p), (n, p, p))
+    X = np.concatenate([states.swapaxes(1, 2), eye], axis=2)
     left, right = ((x / radius[:, None, None]).reshape(n * p, -1) for x in (X, P))
     left, right = (np.concatenate([x.real, x.imag]) for x in (left, right))
-    unit = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+    unit = np.linalg.norm(left, axis=0)
+    unit[unit == 0] = 1.0
     BD = np.linalg.lstsq(left / unit, right, rcond=None)[0] / unit[:, None]
     return BD[: len(A)], BD[len(A) :], X @ BD
 
