@@ -87,7 +87,8 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         the loop's `realised` has it.
     reference : array_like, shape (time, m)
         Of the new task, of any length; beyond the end of the trials the compensation is zero. At
-        frequencies where it has power and the earlier ones had hardly any, v is a guess.
+        frequencies where it has power and the earlier ones had hardly any, v is a guess; above the
+        cut-off of Q a law takes v away again.
 
     Warns
     -----
