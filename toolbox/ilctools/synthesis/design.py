@@ -211,6 +211,12 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
         if not design.certificate.norm >= 1:
             break
     text = f"chosen: Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
+    if Q.cutoff == lowest:
+        warnings.warn(
+            f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
+            "differ: record longer or larger moves, or pass measured_response the gain at rest",
+            stacklevel=4,
+        )
     problem = replace(design.problem, chosen=(text, *design.problem.chosen))
     design = replace(design, certificate=replace(design.certificate, problem=problem))
     if design.certificate.norm >= 1:

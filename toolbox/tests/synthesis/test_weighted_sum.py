@@ -14,7 +14,7 @@ CASES = half([1, 2], ["diagonal", "full"], ["plain", "radius", "plants"])
 
 @pytest.mark.parametrize(("m", "structure", "kind"), CASES)
 def test_the_weighted_sum_is_minimised(m, structure, kind):
-    """CVXPY finds the same; a band's filter is worse."""
+    """CVXPY finds the same."""
     P, Q, omega = random_response(m, m, grid=np.geomspace if m == 1 else np.linspace)
     plants = [P, 1.05 * P] if kind == "plants" else P
     choices = {"order": 3, "M_max": 0.97, "L_max": 20.0, "structure": structure}
@@ -27,8 +27,6 @@ def test_the_weighted_sum_is_minimised(m, structure, kind):
     assert design.certificate.gap < 1e-6
     theirs, *_ = optimum(design.certificate.grid)
     assert design.value == pytest.approx(theirs, abs=1e-6 * problem.idle)
-    band = synthesise(plants, Q, omega, 1.0, band=(0.01, 0.3), **choices)
-    assert problem.objective.value(band.sigma_M) > design.value
 
 
 def test_a_reference_goes_with_everywhere_and_without_Q(loop):
