@@ -1,7 +1,7 @@
 """No plant within radius and list exceeds, at any frequency, what a certificate says of all.
 
-Judged on 50,000 frequencies by plants that exist: models by their transfer function, samples and the
-radius by the interpolation that the certificate states, the worst Delta by power iteration.
+Judged on 50,000 frequencies by plants that exist: models by their transfer function, samples and
+the radius by the interpolation that the certificate states, the worst Delta by power iteration.
 """
 
 import control

@@ -52,7 +52,7 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
     assert ours.certificate.gap < 1e-6
     nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
                          **choices | {"uncertainty": None})  # fmt: skip
-    assert ours.value >= nominal.value * (1 - 1e-8)
+    assert ours.value > nominal.value * (1 - 1e-8) - 1e-12 * ours.problem.idle  # or rounding
     if objective == "peak":
         assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
 
