@@ -50,12 +50,12 @@ ARRAY = ["1", np.full((6, 1), np.nan), np.zeros((0, 1))]
 WRONG = {
     name: values
     for values, names in (
-        ([*POSITIVE[:3]], "sensor_psd sensor_variance"),
+        ([*POSITIVE[:3]], "sensor_psd"),
         (["1", np.nan, [1.0]], "slope"),
         (MODEL, "P plant system"),
         (POSITIVE, "Ts cutoff conductivity density M_max L_max weight gain step"),
         (POSITIVE, "share lowest highest amplitude hours lag"),
-        (WHOLE, "degree states intervals elements cells modes order samples trials sections"),
+        (WHOLE, "degree states elements cells modes order samples trials sections"),
         (WHOLE, "number root ahead channels lines seed rest"),
         ([1.5, "1"], "first"),
         (ARRAY, "omega s signal v e reference coefficients gains heat_flows weights"),
@@ -75,7 +75,7 @@ READINGS = control.forced_response(BOARD, inputs=HEATERS.T).outputs.T
 RIGHT = {
     "rod": Rod(), "nominal": Rod(), "conductivity": 55.0, "density": 7800.0, "sections": 4,
     "sensors": (0.1,), "degree": 1, "s": [1j], "omega": OMEGA, "Ts": 1.0, "states": 2,
-    "intervals": 2, "element": skfem.ElementLineP1(), "elements": 1, "cells": 2, "modes": 5,
+    "element": skfem.ElementLineP1(), "elements": 1, "cells": 2, "modes": 5,
     "inputs": ["Q1"], "samples": 6, "trials": 2, "first": 1, "share": 0.1, "gains": np.ones(4),
     "deviations": np.zeros(10), "spread": SPREAD, "number": 1, "root": 1, "seed": 1, "lag": 4.0,
     "specimens": [SPECIMEN], "heat_flows": np.zeros(4), "heaters": HEATERS,
@@ -85,7 +85,7 @@ RIGHT = {
     "coefficients": L.coefficients, "rest": 1, "gain": 0.5, "slope": 0.0, "ahead": 1,
     "channels": 1, "step": 0.1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
     "structure": "full", "e": xr.DataArray(SIGNAL, dims=("time", "channel")),
-    "sensor_psd": 1.0, "sensor_variance": 1.0, "new": NOISE, "problem": DESIGN.problem,
+    "sensor_psd": 1.0, "new": NOISE, "problem": DESIGN.problem,
     "rig": RIG, "excitation": EXCITATION,
 }  # fmt: skip
 

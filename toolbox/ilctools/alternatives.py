@@ -166,8 +166,8 @@ class NormOptimal:
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
-        name = f"signal, for an L of samples = {self.samples},"
-        signal = arguments.array(name, signal, (..., self.samples, self.channels))
+        shape = ..., self.samples, self.channels
+        signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
         return self._solved(signal @ self._model[1])[..., self.P.nstates :]
 
     def apply_transposed(self, signal) -> np.ndarray:

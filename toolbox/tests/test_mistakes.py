@@ -202,7 +202,6 @@ REFUSED = {  # what the error says, and a call
     "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
     r"limits\['Q1'\]": lambda: replace(LAW, limits={"Q1": (1, 0)}),
     r"limits\['pump A'\]\[2\] = 0": lambda: replace(LAW, limits={"pump A": (0, 1, 0)}),
-    "v is named 'e', and e is named 'v'": lambda: LAW.next(LOG.e[1], LOG.v[1]),
     "v holds .* pass its attribute v": lambda: run_trials(LOOP, LAW, MOVE, v=transfer(LOG, MOVE)),
     "signal, for an L of samples = 30": lambda: run_trials(
         LOOP, replace(LAW, L=NormOptimal(LAG, 0.1, 30)), MOVE

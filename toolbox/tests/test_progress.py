@@ -21,11 +21,11 @@ def slow(seconds):
 
 @pytest.mark.parametrize(
     ("home", "seconds", "off", "said"),
-    [("ipykernel.iostream", 1.0, False, True), ("ipykernel.iostream", 0, False, False),
-     ("ipykernel.iostream", 0.4, True, False), ("io", 0.4, False, False)],
+    [("ipykernel.iostream", 1.0, False, True), ("ipykernel.iostream", 0.4, True, False),
+     ("io", 0.4, False, False)],
 )  # fmt: skip
 def test_what_takes_long_says_where_it_is(monkeypatch, home, seconds, off, said):
-    """In a notebook, until it ends; where it is not switched off."""
+    """In a notebook, where it is not switched off."""
     shown = type("Stream", (StringIO,), {"__module__": home})()
     monkeypatch.setattr(sys, "stderr", shown)
     monkeypatch.setattr(progress, "PATIENCE", 0.1)

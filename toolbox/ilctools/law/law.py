@@ -186,8 +186,6 @@ class Law:
         if self.L is None:
             arguments.array("v", v, (...,))
             return copy(v)
-        if [getattr(x, "name", None) for x in (v, e)] == ["e", "v"]:
-            raise ValueError("v is named 'e', and e is named 'v': pass next(v, e)")
         labelled, names = v, self._names(v, e)
         v = arguments.in_columns("v", v, (..., "time", self.channels), names)
         e = arguments.in_columns("e", e, v.shape, names)

@@ -153,8 +153,8 @@ def numbers_in(column: pd.Series) -> pd.Series:
     if len(wrong):
         raise LogError(
             f"{column.name}: entry {str(wrong.iloc[0])[:40]!r} in row {wrong.index[0]} must be a "
-            f"finite number ({len(wrong)} such entries); of a decimal comma and of dates "
-            "read_table must be told, by its options"
+            f"finite number ({len(wrong)} such entries); a decimal comma and dates are options "
+            "of read_table"
         )
     return numbers
 

@@ -108,6 +108,7 @@ def read_table(
     (0.5, (1, 3, 1))
     """
     asked = _checked(
+        time,
         outputs=outputs,
         inputs=inputs,
         reference=reference,
@@ -115,10 +116,6 @@ def read_table(
         disturbances=disturbances,
         measured=measured,
     )
-    titles = [time, *chain(*(columns.values() for columns in asked.values()))]
-    for name, title in outputs.items():
-        if titles.count(title) > 1:
-            raise ValueError(f"outputs[{name!r}] = {title!r} is another signal's column, too")
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
@@ -135,13 +132,17 @@ def read_table(
         return trials_of(table, signals, Ts or mean_step(table), notes)
 
 
-def _checked(**asked):
+def _checked(time, **asked):
     """The arguments that ask for columns."""
     asked = {argument: columns for argument, columns in asked.items() if columns is not None}
     for argument, columns in asked.items():
         arguments.different(
             f"names in {argument}", [*arguments.by_name(argument, columns, columns)]
         )
+    titles = [time, *chain(*(columns.values() for columns in asked.values()))]
+    for name, title in asked["outputs"].items():
+        if titles.count(title) > 1:
+            raise ValueError(f"outputs[{name!r}] = {title!r} is another signal's column, too")
     return asked
 
 
