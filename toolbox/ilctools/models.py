@@ -14,7 +14,7 @@ from typing import Any
 import control
 import numpy as np
 from scipy import signal
-from scipy.linalg import LinAlgError, matrix_balance, null_space
+from scipy.linalg import matrix_balance, null_space, schur
 
 from ilctools import arguments
 
@@ -56,14 +56,18 @@ def frequency_response(system: Model, omega) -> np.ndarray:
 
 def _response(system, points):
     """C (sI - A)^-1 B + D at points s of the complex plane."""
-    pencils = points[:, None, None] * np.eye(system.nstates)
-    pencils -= system.A  # in place: there may be hundreds of states
-    try:
-        return system.C @ np.linalg.solve(pencils, system.B.astype(complex)) + system.D
-    except LinAlgError:
-        raise ValueError(
-            "omega has the frequency of a pole: the system has no response there"
-        ) from None
+    T, B, C, D = schur_form(system)
+    distance = np.abs(points[:, None] - np.diag(T)).min(initial=np.inf)
+    if distance <= len(T) * np.finfo(float).eps * np.linalg.norm(T):  # within its rounding
+        raise ValueError("omega has the frequency of a pole: the system has no response there")
+    return by_substitution(T, B, C, D, points)
+
+
+def schur_form(system: Model):
+    """A model with its A made triangular, Z* A Z = T, its poles on the diagonal: T, B, C, D."""
+    A, B, C = balanced(system.A, system.B, system.C)
+    T, Z = schur(A, output="complex")
+    return T, Z.conj().T @ B, C @ Z, system.D
 
 
 def by_substitution(T, B, C, D, z) -> np.ndarray:

@@ -46,12 +46,11 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-from scipy.linalg import schur
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LONG, LearningFilter, ZeroPhaseButterworth
-from ilctools.models import balanced, by_substitution
+from ilctools.models import by_substitution, schur_form
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.response.phase import phase, phase_grid, subdivided
@@ -70,15 +69,13 @@ DENSER = 10  # the grid between the samples, against theirs
 
 def of_model(system: control.StateSpace):
     """C (z I - A)^-1 B + D as a function of omega, by a Schur form of A, and its eigenvalues."""
-    A, B, C = balanced(system.A, system.B, system.C)
-    T, Z = schur(A, output="complex")
-    model = T, Z.conj().T @ B, C @ Z, system.D
+    model = schur_form(system)
 
     def response(omega):
         z = np.exp(1j * omega * system.dt)
-        return in_parts(lambda z: by_substitution(*model, z), z, B.size)
+        return in_parts(lambda z: by_substitution(*model, z), z, system.B.size)
 
-    return response, np.diag(T)
+    return response, np.diag(model[0])
 
 
 def peak_of_L(L: LearningFilter) -> tuple[float, float]:
