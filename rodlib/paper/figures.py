@@ -29,7 +29,7 @@ GRAY_DASHED = GRAY | {"linestyle": "--"}
 # distinguish (their palette, 2008)
 SHADES = ("black", "0.55", "#D55E00", "#0072B2", "#009E73", "#E69F00")
 ACCENT = {"color": SHADES[2]}  # for what the paper does not show
-MARK = ACCENT | {"linestyle": ":", "linewidth": 1}  # of bounds, cut-offs, ends of a band
+MARK = BLACK | {"linestyle": ":", "linewidth": 1}  # bounds, cut-offs, ends of a band, events
 # of designs, the same in all notebooks; (39) as in the paper's Figs. 6 and 11
 LOOKS = {
     "(39), diagonal": BLACK,

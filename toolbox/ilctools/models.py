@@ -8,6 +8,7 @@ import copyreg
 import math
 import reprlib
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,8 @@ from scipy import signal
 from scipy.linalg import matrix_balance, null_space, schur
 
 from ilctools import arguments
+
+SILENT = 1e-9  # relative: a mode that is less is not reached, a response that is less the same
 
 # With what a door realises, and what control.ss and control.sample_system may give by their types
 Model = control.StateSpace | Any
@@ -121,7 +124,7 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (r,) and left eigenvectors (n, r) of modes that no input can excite, by Hautus.
 
     A mode counts as one if the smallest singular value of [lambda I - A, B], both blocks scaled to
-    norm one, is below 1e-9. For unobservable modes pass A', C'.
+    norm one, is below SILENT. For unobservable modes pass A', C'.
     """
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
     values, vectors = [], []
@@ -130,7 +133,7 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
             continue
         pencil = np.hstack([(eigenvalue * np.eye(len(A)) - A) / scale_A, B / scale_B])
         left, singular_values, _ = np.linalg.svd(pencil)
-        silent = left[:, singular_values < 1e-9]
+        silent = left[:, singular_values < SILENT]
         values.extend([eigenvalue] * silent.shape[1])
         vectors.append(silent)
     return np.array(values), np.hstack([np.empty((len(A), 0)), *vectors])
@@ -143,7 +146,7 @@ def reachable_basis(A, B) -> np.ndarray:
         _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
         if not silent.size:
             break
-        basis = basis @ null_space(np.hstack([silent.real, silent.imag]).T, rcond=1e-9)
+        basis = basis @ null_space(np.hstack([silent.real, silent.imag]).T, rcond=SILENT)
     return basis
 
 
@@ -165,6 +168,12 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     control.StateSpace
         The controls first, then the disturbances, as far as they act on the states kept.
 
+    Raises
+    ------
+    ValueError
+        If the controls reach nothing, or if rounding decides what they reach: what is left must
+        have the same frequency response.
+
     See Also
     --------
     current_trial_loop : what is made of the rest
@@ -185,10 +194,20 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     T = T @ reachable_basis((T.T @ A @ T).T, (C @ T).T)
     if not T.size:
         raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
-    return control.ss(
+    minimal = control.ss(
         T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
         inputs=plant.input_labels, outputs=plant.output_labels,
     )  # fmt: skip
+    half = np.linspace(0.02, 1.5, 64)  # of an angle, away from integrators; jw by tan
+    points = np.exp(2j * half) if plant.dt else 1j * np.linalg.norm(A) * np.tan(half)
+    P, same = (_response(x[:, [*controls]], points) for x in (plant, minimal))
+    if np.abs(same - P).max() > SILENT * np.abs(P).max():
+        raise ValueError(
+            f"plant: rounding decides which of its {len(A)} states controls reach and outputs "
+            "show, as in chains of delays that several entries share: keep them all, or pass a "
+            "transfer function, of which delays are kept apart"
+        )
+    return minimal
 
 
 def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
@@ -203,10 +222,7 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
 
 
 def model_and_response(name: str, plant, omega, Ts: float):
-    """A plant as a model, or None, and its response on omega; what is an array stays one.
-
-    A transfer function of several channels is no model here: its realisation would not be minimal.
-    """
+    """A plant as a model, or None, and its response on omega; what is an array stays one."""
     refuse_foreign(name, plant)
     if not isinstance(plant, control.LTI):
         return None, plant
@@ -218,16 +234,9 @@ def model_and_response(name: str, plant, omega, Ts: float):
         )
     if measured:
         return None, _samples_on(name, plant, omega, np.pi / Ts)
-    model = None
-    if isinstance(plant, control.StateSpace):
-        model = arguments.state_space(name, plant)
-    elif plant.ninputs == plant.noutputs == 1:
-        model = control.ss(plant)
     arguments.stable(name, control.poles(plant))
-    z = np.exp(1j * omega * Ts)
-    if model is not None:
-        return model, _response(model, z)
-    return None, np.moveaxis(plant(z).reshape(*plant.shape, len(z)), -1, 0)
+    model = sampled_plant(plant, name)
+    return model, _response(model, np.exp(1j * omega * Ts))
 
 
 def _samples_on(name, P, omega, nyquist):
@@ -303,17 +312,38 @@ def balanced(A, B, C):
 
 
 def _realised(plant, name):
-    """Realise each entry of a transfer function, then keep the states that all of them need."""
+    """Realise a transfer function: P = H R, a minimal H behind a shift register R of each input.
+
+    The delay of an entry is where H taps the register. As states of H, delays that several entries
+    share would leave it to rounding which of them is minimal.
+    """
     outputs, inputs = plant.shape
-    try:
-        entries = [control.ss(entry) for entry in control.split_tf(plant).ravel()]
-    except ValueError as error:
-        raise ValueError(
-            f"{name} has more zeros than poles, and would have to look ahead, or coefficients that "
-            f"are not finite ({error}): delay it"
-        ) from None
-    rows = np.repeat(np.eye(outputs), inputs, axis=0)
-    columns = np.tile(np.eye(inputs), (outputs, 1))
-    model = rows.T * control.append(*entries) * columns
+    entries, places = [], []
+    for i, j in np.ndindex(outputs, inputs):
+        num, den = plant.num[i][j], plant.den[i][j]
+        num = np.append(np.trim_zeros(num[:-1], "f"), num[-1])
+        delay = max(0, len(den) - max(len(num), len(np.trim_zeros(den, "b"))))
+        try:
+            entries.append(control.ss(control.tf(num, den[: len(den) - delay], plant.dt)))
+        except ValueError as error:
+            raise ValueError(
+                f"{name} has more zeros than poles, and would have to look ahead, or coefficients "
+                f"that are not finite ({error}): delay it"
+            ) from None
+        places.append((i, (j, delay)))
+    taps = sorted({tap for _, tap in places})
+    rows, columns = np.array([(i, taps.index(tap)) for i, tap in places]).T
+    H = np.eye(outputs)[:, rows] * control.append(*entries) * np.eye(len(taps))[columns]
+    with suppress(ValueError):  # no states, or none that can be left out
+        H = minimal_realisation(H, H.input_labels)
+    R = [_register([d for k, d in taps if k == j], plant.dt) for j in range(inputs)]
+    model = H * control.append(*R)
     model.update_names(inputs=plant.input_labels, outputs=plant.output_labels)
-    return minimal_realisation(model, model.input_labels)
+    return model
+
+
+def _register(delays, dt):
+    """A shift register with taps after some delays, in samples."""
+    taps, length = np.eye(1 + max(delays))[delays], max(delays)
+    A, B = np.eye(length, k=-1), np.eye(length, 1)
+    return control.ss(A, B, taps[:, 1:], taps[:, :1], dt)
