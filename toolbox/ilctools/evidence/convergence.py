@@ -162,7 +162,8 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
 def rate(P, Q, L: LearningOperator, omega=None) -> Rate:
     """The convergence rate: the gamma of Lemma 1, max sigma_max(M), and where it is.
 
-    By that factor the norm of the error shrinks, at least, from trial to trial. Parameters as for
+    Of trials without ends it is the most that one leaves of the error's distance to its limit, in
+    the 2-norm, if it is below one; the error itself may still grow. Parameters as for
     :func:`convergence`; for several plants, both are arrays.
 
     See Also

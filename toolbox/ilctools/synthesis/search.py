@@ -20,7 +20,7 @@ SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the sam
 def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     """Design the filter of least gain among those for which the largest sigma_max(M) is least.
 
-    That largest value, (45) of the paper, is what a trial leaves of the error before, at worst.
+    That largest value, (45) of the paper, is what a trial leaves at worst of what is left to learn.
     Without a bound on L, (46), it may be reached by many filters, whose gains differ by orders of
     magnitude; which of them a solver returns is its own affair. This is the one with the least
     max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do are too
