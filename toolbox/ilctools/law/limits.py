@@ -1,8 +1,8 @@
 """Limits of the commands: what actuators make of them, and the law (23) projected onto them.
 
-Section III has no limits. A projection onto a convex set brings any two signals closer together, so
-that Lemma 1 still holds in the outputs. The program has the stages of the loop, one for each
-sample; PIQP solves it.
+Section III has no limits. A projection onto a convex set brings no two signals further apart, in
+its own norm, so that a rate in that norm holds within the limits, too: see `within` of
+evidence/convergence. The program has the stages of the loop, one for each sample; PIQP solves it.
 """
 
 from collections.abc import Sequence
