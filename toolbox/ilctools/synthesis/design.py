@@ -54,8 +54,8 @@ def synthesise(
     of iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
-    one. Above Q's cut-off nothing is asked of L but its bounds: what noise there adds to v, for
-    which M is of a half and more, :func:`converged_noise` says.
+    one. Above Q's cut-off L only has to keep its bounds; how much noise it adds to v there,
+    :func:`converged_noise` says.
 
     Parameters
     ----------
