@@ -89,7 +89,7 @@ def within_radius(P, Q, L, radius, level):
     Exact from `NEAR` times the level on, an upper bound below.
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
-    wider = largest_singular_values(rho_L)
+    wider = largest_singular_values(rho_L) if np.any(radius) else np.zeros(len(M))
     sigma = largest_singular_values(M) + wider
     near = (sigma >= NEAR * level) & (wider > 0)
     if M.shape[1] > 1 and near.any():
