@@ -204,8 +204,7 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     if np.abs(same - P).max() > SILENT * np.abs(P).max():
         raise ValueError(
             f"plant: rounding decides which of its {len(A)} states controls reach and outputs "
-            "show, as in chains of delays that several entries share: keep them all, or pass a "
-            "transfer function, of which delays are kept apart"
+            "show, as of delays that entries share: keep all, as loops and designs may have them"
         )
     return minimal
 
