@@ -5,8 +5,8 @@ import warnings
 import control
 import numpy as np
 import pytest
-from plants import PUMPS, tanks
-from regions import KINDS, answer, held_noise, resonance, response, several, single
+from plants import lags
+from regions import KINDS, answer, held_noise, pair, resonance, response, several, single
 from scipy.signal import butter, lfilter
 
 from ilctools import (
@@ -25,8 +25,8 @@ from ilctools.law.notes import NO_RESET, RESET
 from ilctools.measurement import regression
 from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
-from rodlib import Spread, assumed_reference, draw
-from rodlib.paper import published
+
+SLOW = [0, 0.1], [1, -0.9]  # numerator and denominator of a lag
 
 
 def off(estimate, truth):
@@ -41,58 +41,34 @@ def covers(estimate, plant, median=np.inf):
     assert np.median(estimate.radius()[estimate.known]) < median
 
 
-@pytest.mark.parametrize("kind", ["steps, short", "learning", "steps, wrong start"])
-def test_the_truth_is_within_the_region(kind):
-    """A few; `make measure WHAT=regions` counts 200 of each kind."""
-    count = 0
-    for seed in range(4):
-        log, plants = KINDS[kind](np.random.default_rng([seed, 99]))
-        estimate = measured_response(log)
-        error = off(estimate, response(plants, estimate.omega))
-        count += np.all(error <= estimate.radius(0.99, jointly=True))
-    assert count >= 3
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        ("steps, short", 0),
+        ("steps, wrong start", 0),
+        ("learning", 0),
+        ("learning, delay of 30", 2),  # with lags as long as a trial it is 3.2 radii away
+        ("fast and slow", 1),  # without slow parts, 5.8
+        ("feedback, coloured noise", 1),  # of commands, which follow the noise
+    ],
+)
+def test_the_truth_is_within_the_region(kind, seed):
+    """Once; `make measure WHAT=regions` counts 200 of each kind."""
+    log, plants, *of = KINDS[kind](np.random.default_rng([seed, 99]))
+    covers(measured_response(log, *of), plants)
 
 
-@pytest.mark.parametrize("number", [0, 2])
-def test_the_slow_end_of_a_rod_is_within_the_region(loop, Q, number):
-    """It is slower than a quarter of a trial: with lags alone, as few, both were outside."""
-    law = Law(Q, LearningFilter(published.matrix("L_diagonal"), 1.0), rest=50)
-    rod = draw(Spread.of_all(0.2), number, root=34).model(1.0)
-    noise = 0.005 * np.random.default_rng([34, number]).standard_normal((4, 800, 2))
-    log = run_trials(loop, law, assumed_reference(800), None, 4, plant=rod, noise=noise)
-    estimate, omega = measured_response(log.drop_vars("disturbance")), np.geomspace(1e-4, 3, 80)
-    P, radius = estimate.on(omega, 0.99)
-    truth = frequency_response(loop.around(rod)[:, :2], omega)
-    assert np.all(np.linalg.norm(P - truth, 2, axis=(1, 2)) <= radius)
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_no_start_of_the_search_finds_a_larger_posterior(seed):
-    """Without a start with a drift it is 10 and 25 smaller, in its logarithm."""
+def test_no_start_of_the_search_finds_a_larger_posterior():
+    """Without a start with a drift it is 10 smaller, in its logarithm."""
     kind = "learning, converged"
-    log, _ = KINDS[kind](np.random.default_rng([seed, len(kind)]))
-    groups, rng = Record.of(log).of_output(0), np.random.default_rng(seed)
+    log, _ = KINDS[kind](np.random.default_rng([1, len(kind)]))
+    groups, rng = Record.of(log).of_output(0), np.random.default_rng(1)
     starts = [(regression.CENTRE + 4 * rng.standard_normal(7),) for _ in range(5)]
     found, *others = (
         regression._fitted(groups, True, np.zeros(1, int), None, *first).surprise
         for first in [(), *((start,) for start in starts)]
     )
     assert found < min(others) + 0.1
-
-
-def test_a_long_delay_is_found_behind_noise_and_steps():
-    """By correlation of the signals, or of their moves; 2 to 12 % before the truth."""
-    for kind, seed in (("a long delay, noise", 4), ("a long delay, steps", 21)):
-        log, plants = KINDS[kind](np.random.default_rng([seed, len(kind)]))
-        (fit,) = measured_response(log).fits
-        late, truth = fit.data.layout.moved[0][0], np.flatnonzero(plants[0][0][0])[0]
-        assert 0.88 * truth < late <= truth
-
-
-def test_slow_parts_do_not_explain_a_disturbance_that_repeats():
-    """With lags as long as a trial the truth is 3.2 radii away."""
-    log, plants = KINDS["learning, delay of 30"](np.random.default_rng([2, 99]))
-    covers(measured_response(log), plants)
 
 
 @pytest.mark.parametrize("kind", ["steps", "steps, drift", "learning, 2 trials"])
@@ -106,7 +82,7 @@ def test_the_last_digits_of_a_record_do_not_move_the_region(kind):
 
 
 LOOPS = {
-    "tanks": lambda: current_trial_loop(tanks(), PUMPS),
+    "ours": lambda: current_trial_loop(lags()),
     "not ours": lambda: ClosedLoop(control.tf([0.2, 0.1], [1, -1.2, 0.5], 0.1, outputs=["y"])),
 }
 
@@ -114,9 +90,9 @@ LOOPS = {
 @pytest.mark.parametrize("name", LOOPS)
 def test_trials_under_learning_give_P(name, tmp_path):
     """From noise in the sensors and a rich reference; also without what repeats in all trials."""
-    loop, trials, samples = LOOPS[name](), 4, 240
+    loop, trials, samples = LOOPS[name](), 3, 160
     rng, m = np.random.default_rng(0), len(loop.outputs)
-    L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0.3], loop.Ts)
+    L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0, 0.3], loop.Ts)
     r = np.repeat(rng.standard_normal((samples // 4, m)), 4, axis=0) * 0.3
     noise = 1e-3 * rng.standard_normal((trials, samples, m))
     if name == "not ours":
@@ -131,55 +107,46 @@ def test_trials_under_learning_give_P(name, tmp_path):
 
 
 def test_a_filter_is_designed_for_it_and_keeps_its_promise():
-    plant = control.tf([0.1], [1, -0.9], 1.0)
     rng = np.random.default_rng(1)
     u = np.repeat(rng.standard_normal(100), 4)
-    y = control.forced_response(plant, U=u).outputs + 0.01 * rng.standard_normal(400)
-    estimate = measured_response(single(u, y))
+    estimate = measured_response(single(u, lfilter(*SLOW, u) + 0.01 * rng.standard_normal(400)))
     omega, Q = np.geomspace(1e-2, np.pi, 80), zero_phase_butterworth(2, 0.1, 1.0)
     design = synthesise(estimate, Q, omega, order=10, L_max=20.0, band=(0.01, 0.1))
-    assert design.check(plant).gamma <= 0.9
-    assumptions = "".join(design.certificate.assumptions)
-    assert "the plant is linear" in assumptions
+    assert design.check(control.tf(*SLOW, 1.0)).gamma <= 0.9
+    assert "the plant is linear" in "".join(design.certificate.assumptions)
 
 
 def test_frequencies_without_power_are_not_identified():
     """An input that moves slowly says nothing of high frequencies, where noise is."""
-    rng, N = np.random.default_rng(0), 300
+    rng, N, plant = np.random.default_rng(0), 300, ([0, 0.3], [1, -0.7])
     u = np.sin(2 * np.pi * np.arange(N) / 100) + np.sin(2 * np.pi * np.arange(N) / 33)
-    plant = control.tf([0.3], [1, -0.7], 1.0)
-    y = control.forced_response(plant, U=u).outputs + 0.05 * rng.standard_normal(N)
-    estimate = measured_response(single(u, y))
+    estimate = measured_response(single(u, lfilter(*plant, u) + 0.05 * rng.standard_normal(N)))
     unknown = ~estimate.known
     assert unknown[estimate.omega > 2].all() and not unknown.all()
     size = np.linalg.norm(estimate.response, 2, axis=(1, 2))
-    assert np.all(estimate.radius()[unknown] > size[unknown])
-    assert "too little power" in repr(estimate)
-    truth = frequency_response(control.ss(plant), estimate.omega)
-    assert np.all(off(estimate, truth) <= estimate.radius(0.99))
+    np.testing.assert_array_equal(unknown, estimate.radius() >= size)
+    first = np.flatnonzero(estimate.known)[0]
+    assert f"identified from {estimate.omega[first]:.3g} to" in repr(estimate)
+    assert np.all(off(estimate, response([[plant]], estimate.omega)) <= estimate.radius(0.99))
 
 
 def test_trials_may_start_apart():
     """As far as the moves of the inputs go: the region holds, and nothing is said."""
-    rng, plant = np.random.default_rng(0), control.ss(control.tf([0.1], [1, -0.9], 1.0))
-    u, starts = rng.standard_normal((6, 200)), 3 * np.arange(6)
-    pairs = zip(u, starts, strict=True)
-    y = [control.forced_response(plant, U=row, X0=start).outputs for row, start in pairs]
-    y = np.array(y) + 0.01 * rng.standard_normal((6, 200))
+    rng, t = np.random.default_rng(0), np.arange(200)
+    u, starts = rng.standard_normal((6, 200)), 3 * np.arange(6)[:, None]
+    y = lfilter(*SLOW, u) + 0.1 * starts * 0.9**t + 0.01 * rng.standard_normal((6, 200))
     estimate = measured_response(several(u[..., None], y[..., None]))
-    covers(estimate, plant, 0.05)
+    covers(estimate, [[SLOW]], 0.05)
     assert not estimate.findings and estimate.known.all()
 
 
 def test_a_resonance_that_was_hardly_excited_is_not_identified():
     """Learned up to a quarter of the Nyquist frequency, with one at four fifths of it."""
-    rng, lag, N = np.random.default_rng(0), np.exp(-0.05), 400
-    pole = np.exp(2.5 * (-0.02 + 1j))
-    ring, slow = np.poly([pole, pole.conj()]).real, ([0, 1 - lag], [1, -lag])
-    low = lfilter(*butter(4, 0.25), rng.standard_normal((20, N)), axis=1)
-    y = lfilter(*slow, low) + lfilter([0, 0.05], ring, low)
-    y += 0.03 * rng.standard_normal((20, N))
-    estimate = measured_response(several(low[..., None], y[..., None]))
+    rng, lag = np.random.default_rng(0), np.exp(-0.05)
+    u = lfilter(*butter(4, 0.25), rng.standard_normal((20, 400)), axis=1)
+    y = lfilter([0, 1 - lag], [1, -lag], u) + lfilter([0, 0.05], pair(2.5, 0.02), u)
+    y += 0.03 * rng.standard_normal(y.shape)
+    estimate = measured_response(several(u[..., None], y[..., None]))
     near = np.abs(estimate.omega - 2.5) < 0.2
     assert not estimate.known[near].any() and estimate.known.any()
 
@@ -198,12 +165,6 @@ def test_several_records_tell_more_than_one():
     slower = logs[1].assign_attrs(Ts=2.0).assign_coords(time=2.0 * logs[1].time)
     with pytest.raises(ValueError, match=r"Ts"):
         measured_response([logs[0], slower])
-    agreement = measured_response(logs[:2]).check(logs[2])
-    assert agreement.fit.item() > 0.8 and not agreement.contradicts and agreement.by == 0
-    other = resonance(np.random.default_rng(9))
-    u = held_noise(rng, 300)
-    strange = alone.check(single(u, answer(other, u, rng)))
-    assert strange.fit.item() < 0.6 and strange.contradicts and strange.by > 0.3
 
 
 def test_a_second_log_never_makes_it_worse():
@@ -216,19 +177,14 @@ def test_a_second_log_never_makes_it_worse():
 
 @pytest.mark.filterwarnings("ignore:y0 may not settle")  # as far as it is known without d
 def test_a_step_in_the_first_row_and_a_known_disturbance():
-    rng, plant = np.random.default_rng(2), control.tf([0.1], [1, -0.9], 1.0)
+    rng = np.random.default_rng(2)
     u, d = np.repeat([1.0, 0.3, 0.7], 60), rng.standard_normal(180)
-    quiet = control.forced_response(plant, U=u).outputs + 0.01 * rng.standard_normal(180)
-    covers(measured_response(single(u, quiet)), control.ss(plant))
-    log = single(u, quiet + control.forced_response(plant, U=d).outputs)
+    quiet = lfilter(*SLOW, u) + 0.01 * rng.standard_normal(180)
+    covers(measured_response(single(u, quiet)), [[SLOW]])
+    log = single(u, quiet + lfilter(*SLOW, d))
     told = log.assign(disturbance=(("trial", "time", "source"), d[None, :, None]))
     with_it, without = (measured_response(one).radius() for one in (told, log))
     assert np.median(with_it) < 0.3 * np.median(without)
-
-
-def test_in_a_loop_the_commands_follow_the_noise():
-    log, plants, of = KINDS["feedback, coloured noise"](np.random.default_rng(1))
-    covers(measured_response(log, of), plants)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +194,6 @@ def test_in_a_loop_the_commands_follow_the_noise():
         ("quadratic", "large inputs"),
         ("gain drifts by 20 %", "the course of trial 1"),
         ("backlash", "moves up and down"),
-        ("dead zone", "large inputs"),
     ],
 )
 def test_what_is_not_one_linear_plant_is_said(kind, words):
@@ -248,49 +203,37 @@ def test_what_is_not_one_linear_plant_is_said(kind, words):
     assert estimate.apart > 0.01 and estimate.findings[0] in str(estimate)
 
 
-def test_identified_is_where_the_radius_is_less_than_P_there():
-    for seed in range(3):
-        log, _ = KINDS["steps, short"](np.random.default_rng(seed))
-        with warnings.catch_warnings(action="ignore"):  # of 40 samples: it may not settle
-            estimate = measured_response(log)
-        size = np.linalg.norm(estimate.response, 2, axis=(1, 2))
-        np.testing.assert_array_equal(estimate.known, estimate.radius(0.95) < size)
-        assert estimate.known.all() or f"{estimate.omega[0]:.3g} to" in repr(estimate)
-
-
 def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
     """It falls by e in 83 of 100 samples."""
-    rng = np.random.default_rng(3)
-    pole = np.exp(0.3 * (-0.04 + 1j))
-    a = np.poly([pole, pole.conj()]).real
-    u = np.repeat(rng.standard_normal(34), 3)[:100]
-    y = lfilter([0, a.sum()], a, u) + 0.03 * rng.standard_normal(100)
-    estimate = measured_response(single(u, y))
-    covers(estimate, [[([0, a.sum()], a)]], 0.1)
+    rng, a = np.random.default_rng(3), pair(0.3, 0.04)
+    plant, u = ([0, a.sum()], a), np.repeat(rng.standard_normal(34), 3)[:100]
+    estimate = measured_response(single(u, lfilter(*plant, u) + 0.03 * rng.standard_normal(100)))
+    covers(estimate, [[plant]], 0.1)
     assert estimate.known.mean() > 0.95
 
 
 @pytest.mark.filterwarnings("ignore:y0")  # a pole of 0.95 under three steps may be one of 1
 @pytest.mark.parametrize(("delay", "N"), [(41, 400), (220, 2000)])
 def test_a_long_delay_is_found(delay, N):
-    """Whether noise or a few steps move the input; without a delay the region misses P widely."""
+    """By correlation of the signals, or of their moves; without it the region misses P widely."""
     rng, plant = (np.random.default_rng(5), (np.append(np.zeros(delay + 1), 0.05), [1, -0.95]))
     steps = np.select([np.arange(N) < 0.1 * N, np.arange(N) < 0.5 * N], [0.0, 1.0], -0.5)
     for u in (steps, np.repeat(rng.standard_normal(N // 4), 4)):
         y = lfilter(*plant, u) + 0.02 * rng.standard_normal(N)
-        covers(measured_response(single(u, y)), [[plant]], 0.1)
+        estimate = measured_response(single(u, y))
+        covers(estimate, [[plant]], 0.1)
+        assert 0.88 * delay < estimate.fits[0].data.layout.moved[0][0] <= delay + 1
 
 
 def test_trials_that_begin_with_v_are_estimated_from_the_rest_before_them():
     """With a delay, v begins where the reference does not yet move: a step in the first sample."""
-    P = control.ss(control.tf([0.06], [1, -0.94], 1.0) * control.tf([1], [1, *[0] * 40], 1.0))
+    plant = np.append(np.zeros(41), 0.06), [1, -0.94]
     t, rng = np.arange(400), np.random.default_rng(0)
     r = 5 * np.sin(np.pi * np.minimum(t / 280, 1)) ** 2
     v = np.array([0, 0.8, 1.2, 1.25])[:, None] * np.roll(r, -41) * (t < 330)
-    y = [control.forced_response(P, t, r + row).outputs for row in v]
-    y = np.array(y) + 0.01 * rng.standard_normal(v.shape)
+    y = lfilter(*plant, r + v) + 0.01 * rng.standard_normal(v.shape)
     log = several(np.tile(r, (4, 1))[..., None], y[..., None], "w")
-    covers(measured_response(log.assign(v=(log.v.dims, v[..., None]))), P, 0.05)
+    covers(measured_response(log.assign(v=(log.v.dims, v[..., None]))), [[plant]], 0.05)
 
 
 def test_trials_without_reset_are_one_record():
