@@ -4,10 +4,13 @@ import control
 import numpy as np
 from hypothesis import strategies as st
 
+from ilctools import LearningFilter
 from rodlib import Rod
 from rodlib.approximations import modal_series
+from rodlib.paper import published
 from rodlib.rigs import RestartingRig, RigParameters
 
+PRINTED = LearningFilter(published.matrix("L_diagonal"), 1.0)  # the paper's diagonal one
 MATERIALS = st.builds(
     Rod,
     length=st.floats(0.05, 2),

@@ -16,7 +16,7 @@ from rodlib import open_workbench, plot, try_out, workbench
 
 STAGE = current_trial_loop(plants.stage(), ["F"], {"x": 1.0, "F": 3.0}, {"x": "mm"})
 TANKS = current_trial_loop(plants.tanks(), plants.PUMPS)
-BUMP = np.sin(np.pi * np.minimum(np.arange(1000) / 950, 1))[:, None] ** 2
+BUMP = np.sin(np.pi * np.minimum(np.arange(400) / 350, 1))[:, None] ** 2
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -86,7 +86,7 @@ def test_knobs_begin_with_the_choices_or_the_defaults_of_the_synthesis(panel):
         open_workbench(ClosedLoop(Ts=1.0, outputs=["y"]), BUMP)
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(data=st.data())
 def test_every_position_of_the_knobs_has_a_picture_or_a_reason(panel, data):
     """ipywidgets logs an exception, which a notebook would show with its traceback."""

@@ -139,9 +139,8 @@ def test_logs_of_loops_that_are_not_ours_that_never_rest_and_in_dollars_are_repl
     loop = ClosedLoop(P, units={"price": "$\\frac{$"})
     law = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter([[[0.5]]], 0.1))
     reference = bump(200, [1.0])
-    for reset in (True, False):
-        run = with_law(run_trials(loop, law, reference, trials=4, reset=reset), law.bound_to(loop))
-        save_log(run, root / "log.csv")
-        text = replay_here("log.csv")
-        assert "law: the recorded v is that of the law in every trial" in text
-        assert (len(next_trial(root)) == 200) == reset
+    run = with_law(run_trials(loop, law, reference, trials=4, reset=False), law.bound_to(loop))
+    save_log(run, root / "log.csv")
+    text = replay_here("log.csv")
+    assert "law: the recorded v is that of the law in every trial" in text
+    assert 0 < len(next_trial(root)) < 200

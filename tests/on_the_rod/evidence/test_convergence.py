@@ -3,16 +3,11 @@
 import numpy as np
 import pytest
 from plants import stage
+from rods import PRINTED
 from scipy.integrate import quad
 
 from ilctools import LearningFilter, convergence, current_trial_loop, rate, zero_phase_butterworth
 from ilctools.alternatives import pd_type
-from rodlib.paper import published
-
-
-@pytest.fixture(scope="module")
-def printed():
-    return LearningFilter(published.matrix("L_diagonal"), 1.0)
 
 
 def matrices(P, q, L):
@@ -20,20 +15,20 @@ def matrices(P, q, L):
     return q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)
 
 
-def test_each_of_several_plants_in_any_form_has_the_rate_of_its_M(loop, Q, omega, printed):
+def test_each_of_several_plants_in_any_form_has_the_rate_of_its_M(loop, Q, omega):
     P, q = loop.frequency_response(omega), Q.frequency_response(omega)
-    M = matrices(np.stack([P, P, 0.5 * P]), q, printed.frequency_response(omega))
+    M = matrices(np.stack([P, P, 0.5 * P]), q, PRINTED.frequency_response(omega))
     sigma = np.linalg.norm(M, 2, axis=(2, 3))
-    several = convergence([loop, loop.P, 0.5 * P], Q, printed, omega)
+    several = convergence([loop, loop.P, 0.5 * P], Q, PRINTED, omega)
     np.testing.assert_allclose(several.sigma, sigma, rtol=1e-9)
-    gamma, where = rate(P, q, printed, omega)
+    gamma, where = rate(P, q, PRINTED, omega)
     assert gamma == pytest.approx(sigma[0].max(), rel=1e-9)
     assert gamma.ndim == where.ndim == 0
     assert where == omega[np.flatnonzero(sigma[0] > gamma * (1 - 1e-6))[0]]
-    stacked = rate(np.stack([P, 0.5 * P]), Q, printed, omega)
+    stacked = rate(np.stack([P, 0.5 * P]), Q, PRINTED, omega)
     np.testing.assert_allclose(stacked.gamma, several.gamma[1:], rtol=1e-9)
     np.testing.assert_array_equal(stacked.omega, several.at[1:])
-    assert rate([P], Q, printed, omega).gamma.shape == (1,)
+    assert rate([P], Q, PRINTED, omega).gamma.shape == (1,)
 
 
 def test_any_plant_and_any_learning_operator_have_one():
@@ -47,19 +42,19 @@ def test_any_plant_and_any_learning_operator_have_one():
         rate(loop, Q, pd_type(0.3, 0.0, 2, 2, loop.Ts), omega)
 
 
-def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q, printed):
+def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q):
     """Against adaptive quadrature; a kink between corners costs the square of their distance."""
     band = (1e-4, 0.02)
 
     def sigma(place):
-        return convergence(loop, Q, printed, [np.exp(place), 1.0]).sigma[0]
+        return convergence(loop, Q, PRINTED, [np.exp(place), 1.0]).sigma[0]
 
     area, _ = quad(sigma, *np.log(band), epsabs=1e-6, limit=200)
     exact = area / np.log(band[1] / band[0])
     for grid in (np.geomspace(1e-4, np.pi, 100), np.linspace(0, np.pi, 20001)):
-        mean = convergence(loop, Q, printed, grid).mean(band)
+        mean = convergence(loop, Q, PRINTED, grid).mean(band)
         assert mean == pytest.approx(exact, abs=1e-3)
-    fine = convergence(loop, Q, printed, np.geomspace(*band, 2001))
+    fine = convergence(loop, Q, PRINTED, np.geomspace(*band, 2001))
     assert fine.mean() == pytest.approx(exact, abs=1e-6)
     for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:
         with pytest.raises(ValueError, match="band = "):

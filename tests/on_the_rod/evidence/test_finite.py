@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from rods import PRINTED
 
 from ilctools import LearningFilter, trial_map, trial_norm, trial_operators, zero_phase_butterworth
 from rodlib.paper import published
@@ -46,7 +47,7 @@ def test_the_shortest_trial_has_a_norm():
 
 def test_the_end_of_the_trial_breaks_the_norm_of_lemma_1_and_a_rest_does_not(loop, Q, omega):
     """With one, it is at most that of Q (I - L P), by which v converges on the whole line."""
-    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    L = PRINTED
     norm, _, after = trial_norm(loop.P, Q, L, 400)
     assert norm == pytest.approx(1.304, abs=1e-3)
     assert (after[-40:] ** 2).sum() > 0.9 * norm**2

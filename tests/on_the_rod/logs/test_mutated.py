@@ -55,7 +55,7 @@ def logs(tmp_path_factory):
     return path, texts
 
 
-@settings(max_examples=110)
+@settings(max_examples=90)
 @given(st.integers(0, 2), ACCIDENTS)
 def test_a_log_with_accidents_is_read_or_refused_in_a_few_printable_words(logs, kind, accidents):
     path, texts = logs

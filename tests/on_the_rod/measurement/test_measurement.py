@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plants import furnace
+from rods import Failing
 from scipy.signal import lfilter
 from scipy.stats import binom
 
 from ilctools import ClosedLoop, current_trial_loop, load_log, measured_response, multisine, shake
 from ilctools.errors import LogError, RigError
 from ilctools.law.notes import loop_note, loop_of
+from ilctools.measurement import excitation as excitations
 from ilctools.measurement.excitation import excitation_of, with_excitation
 from ilctools.measurement.excited import ExcitedResponse, _sparse, excited_response
 from ilctools.models import state_sequence
@@ -38,11 +40,9 @@ def short(loop):
     return multisine(loop, 0.02, 0.5, 2.0, 1.1, lines=12)
 
 
-def answer(loop, w, noise=None, plant=None):
+def answer(loop, w, noise=0.0):
     """Outputs of all experiments, one after the other from rest, shape (experiment, time, m)."""
-    closed = loop.closed if plant is None else loop.around(plant)
-    m = loop.plant.noutputs
-    noise = np.zeros_like(w) if noise is None else noise
+    closed, m, noise = loop.closed, len(loop.outputs), noise + 0 * w
     K = np.vstack([np.zeros((closed.nstates - len(loop.KL), m)), loop.KL])
     w, n = w.reshape(-1, m), noise.reshape(-1, m)
     states = state_sequence(closed.A, w @ closed.B[:, :m].T + n @ K.T, np.zeros(closed.nstates))
@@ -115,9 +115,11 @@ def test_bias_is_below_the_noise_and_the_variance_is_that_of_the_errors(seeds):
 
 def lags(u):
     """Four first-order lags, two inputs to two outputs, (experiment, time, channel)."""
-    a, gain = np.array([[0.97, 0.99], [0.985, 0.96]]), np.array([[1, 0.4], [0.3, 0.8]])
-    of = lambda i, j: lfilter([0, gain[i, j] * (1 - a[i, j])], [1, -a[i, j]], u[..., j])  # noqa: E731
-    return np.stack([of(i, 0) + of(i, 1) for i in range(2)], axis=-1)
+    y = np.zeros_like(u)
+    for (i, j), a in np.ndenumerate([[0.97, 0.99], [0.985, 0.96]]):
+        gain = [[1, 0.4], [0.3, 0.8]][i][j]
+        y[..., i] += lfilter([0, gain * (1 - a)], [1, -a], u[..., j])
+    return y
 
 
 def resonance(u):
@@ -136,9 +138,12 @@ def delayed(u):
         (delayed, ["y"], 0.3, 6, 2.2),
     ],
 )
-def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations, hours):
+def test_the_radius_holds_what_is_not_linear(
+    plant, outputs, bent, realisations, hours, monkeypatch
+):
     """Behind w + c w^3; the truth is the mean over the draws of phases, without noise."""
     loop, rng = ClosedLoop(Ts=1.0, outputs=outputs), np.random.default_rng(1)
+    monkeypatch.setattr(excitations, "CLIPPED", 20)  # high peaks do no harm
 
     def measured(excitation, noise):
         w = excitation.signals
@@ -161,9 +166,9 @@ def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations,
     assert bent < 0.3 or min(P.beyond_noise for P in found) > 0.3
 
 
-@pytest.mark.parametrize(("m", "realisations"), [(1, 2), (2, 3), (3, 6)])
+@pytest.mark.parametrize(("m", "realisations"), [(1, 2), (3, 6)])
 def test_the_radius_is_that_of_normal_errors(m, realisations):
-    """Whose size grows with frequency a hundredfold; of all entries, and of one alone."""
+    """Whose size grows with frequency a hundredfold; of all entries, and of a gain."""
     rng, n = np.random.default_rng(m * realisations), 30
     omega, loop = np.geomspace(0.01, 1, n), ClosedLoop(Ts=1.0, outputs=list("abc"[:m]))
 
@@ -171,11 +176,10 @@ def test_the_radius_is_that_of_normal_errors(m, realisations):
         return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
     truth = np.exp(-3j * omega)[:, None, None] * np.eye(m) / (1 + 1j * omega[:, None, None])
-    one, gain = np.eye(m)[[0]].T * np.eye(m)[[0]], truth[:, [0], [0]][:, None] * np.eye(m)[0]
+    gain = np.sqrt(2) * truth[:, :1, :1] * np.outer(np.eye(m)[0], np.eye(m)[0])
     kinds = [  # and how many entries err: a gain's error is real, and turns as P does
         (lambda *shape: normal(*shape, m, m), m**2),
-        (lambda *shape: one * normal(*shape, 1, 1), 1),
-        (lambda *shape: gain * np.sqrt(2) * normal(*shape, 1, 1).real * np.eye(m)[[0]].T, 0.5),
+        (lambda *shape: gain * normal(*shape, 1, 1).real, 0.5),
     ]
     for errors, entries in kinds:
         within, jointly, found, alarms = [], [], [], []
@@ -205,29 +209,19 @@ def test_the_rig_is_measured(loop, quick):
     assert np.all(error < measured.radius(0.999, jointly=True))
 
 
-class Failing(RestartingRig):
-    """Goes wrong in one sample, counted from 0."""
-
-    sample = 1500
-
-    def read(self):
-        self.sample -= 1
-        return [np.nan, 0.0] if self.sample == -1 else super().read()
-
-
 def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
     path = tmp_path / "shaken.csv"
     with pytest.raises(RigError, match="trial 2"):
-        shake(Failing(), loop, short, path=path)
+        shake(Failing(1500, [np.nan, 0.0]), loop, short, path=path)
     with pytest.raises(LogError, match=r"experiments \[1\] of 4"):
         measured_response(load_log(path))
     with pytest.raises(ValueError, match="another experiment"):
-        shake(RestartingRig(), loop, replace(short, amplitude=(1.0, 1.0)), path=path)
-    shake(RestartingRig(), loop, short, path=path)
+        shake(Failing(), loop, replace(short, amplitude=(1.0, 1.0)), path=path)
+    shake(Failing(), loop, short, path=path)
     log = load_log(path)
     assert excitation_of(log) == short and loop_note(loop_of(log)) == loop_note(loop)
     np.testing.assert_array_equal(log.v, short.signals)
-    np.testing.assert_array_equal(log.y, shake(RestartingRig(), loop, short).y)
+    np.testing.assert_array_equal(log.y, shake(Failing(), loop, short).y)
 
 
 @pytest.mark.parametrize("slope", [1e-3, 3e-5])  # of more than 100 and some 5 standard deviations
@@ -286,8 +280,7 @@ def test_wrong_records_are_refused(loop, quick):
     gap, broken = y.copy(), w.copy()
     gap[0, -100], broken[1, -300:] = np.nan, 0
     log = log_of(loop, quick, y)
-    without = log.assign_attrs()
-    del without.attrs["loop"]
+    without = log.drop_attrs().assign_attrs(Ts=1.0, excitation=log.excitation)
     for wrong, message in (
         (log_of(loop, quick, gap), "log.y"),
         (log_of(loop, quick, y, broken), "w of y1 is not its excitation"),
@@ -305,10 +298,10 @@ def test_wrong_records_are_refused(loop, quick):
     earlier = log.assign_attrs(excitation=note)  # by local polynomials, without realisations
     with pytest.raises(LogError, match="phases"):
         measured_response(earlier)
-    assert measured_response(earlier.isel(time=slice(400)), "w").known.any()
+    assert measured_response(earlier.isel(time=slice(200)), "w").known.any()
     with pytest.raises(ValueError, match="channels = 1"):
         one = multisine(ClosedLoop(Ts=1.0, outputs=["y1"]), 0.02, 0.5, 2.0, 1.0)
-        shake(RestartingRig(), loop, one)
+        shake(Failing(), loop, one)
 
 
 def test_between_the_lines_and_in_other_units(loop, quick):

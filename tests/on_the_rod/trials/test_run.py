@@ -9,6 +9,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import PUMPS, tanks
+from rods import PRINTED as L
 
 from ilctools import (
     ClosedLoop,
@@ -23,10 +24,8 @@ from ilctools.models import state_sequence
 from ilctools.trials.rms import rms
 from rodlib import Rod, midr
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.paper import published
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
-L = LearningFilter(published.matrix("L_diagonal"), 1.0)
 ZERO = np.zeros((50, 2))
 PUSHED = ClosedLoop(control.ss(0.5, np.eye(1, 2), [[1], [0]], 0, 1.0), disturbances=["push"])
 
