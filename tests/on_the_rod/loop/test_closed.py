@@ -4,38 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import random_plant, tanks
+from written_out import another, mixed, simulated
 
 from ilctools import current_trial_loop
 from ilctools.models import frequency_response
 from rodlib import Rod, midr, sampled_response
-
-
-def simulated(loop, plant, w, d):
-    """The plant, (16) and (18) written down separately; signals in the loop's order."""
-    n, m = loop.plant.nstates, loop.plant.noutputs
-    A, B, C = loop.plant.A, loop.plant.B[:, :m], loop.plant.C
-    KL1, KL2 = loop.KL[:n], loop.KL[n:]
-    x, x_hat, delta = np.zeros(plant.nstates), np.zeros(n), np.zeros(m)
-    y = np.empty(w.shape)
-    for p in range(len(w)):
-        u = loop.N @ w[p] - loop.Ks @ x_hat - delta
-        inputs = np.concatenate([u, d[p]])
-        y[p] = plant.C @ x + plant.D @ inputs
-        innovation = y[p] - C @ x_hat
-        x = plant.A @ x + plant.B @ inputs
-        x_hat, delta = (A @ x_hat + B @ (u + delta) + KL1 @ innovation, delta + KL2 @ innovation)
-    return y
-
-
-def mixed(plant, rng):
-    """The same plant with its inputs and outputs in another order, and with some more of them."""
-    B = np.hstack([rng.standard_normal((plant.nstates, 1)), plant.B[:, ::-1]])
-    C = np.vstack([np.ones((1, plant.nstates)), plant.C[::-1]])
-    D = np.zeros((len(C), B.shape[1]))
-    D[1:, 1:] = plant.D[::-1, ::-1]
-    inputs = ["draught", *plant.input_labels[::-1]]
-    outputs = ["spare", *plant.output_labels[::-1]]
-    return control.ss(plant.A, B, C, D, plant.dt, inputs=inputs, outputs=outputs)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -51,22 +24,17 @@ def test_the_controller_around_another_plant(seed):
     for plant in (None, design, own):  # around its own the observer drops out
         P = loop.frequency_response(grid, plant)
         np.testing.assert_allclose(P, by_control, rtol=0, atol=1e-9 * np.abs(P).max())
-    D = 0.01 * rng.standard_normal(design.D.shape)
-    other = control.ss(
-        np.block([[0.99 * design.A, np.zeros((4, 1))], [np.ones((1, 4)), 0.3]]),
-        np.vstack([design.B, np.ones((1, 3))]), np.hstack([design.C, 0.01 * np.ones((2, 1))]),
-        D, Ts, inputs=design.input_labels, outputs=design.output_labels,
-    )  # fmt: skip
+    other = another(design, rng)
     try:
         closed = loop.around(mixed(other, rng))
     except ValueError as error:
         assert "unstable" in str(error)
         w, d = np.tile(rng.standard_normal(2), (3000, 1)), np.zeros((3000, 1))
-        y = simulated(loop, other, w, d)
+        y, _, _ = simulated(loop, other, w, d)
         assert np.abs(y[-100:] - w[-100:]).max() > 1e-6  # a stable one has settled
         return
     w, d = rng.standard_normal((40, 2)), rng.standard_normal((40, 1))
-    expected = simulated(loop, other, w, d)
+    expected, _, _ = simulated(loop, other, w, d)
     response = control.forced_response(closed, inputs=np.hstack([w, d]).T).outputs.T
     scale = np.abs(expected).max()
     np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * scale)

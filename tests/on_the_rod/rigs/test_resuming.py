@@ -124,9 +124,6 @@ def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     assert replayed.departure.loc[1].isna().all()
     assert replayed.departure.loc[2:].to_numpy().max() < 1e-6
     np.testing.assert_allclose(replayed.simulated.y, more.y, atol=1e-5)
-    unlearned = Law(BOILER_LAW.Q, None)
-    log = record(RestartingModel(boiler()), BOILER, unlearned, R, trials=2, v=v)
-    np.testing.assert_array_equal(log.v, [v, v])
 
 
 def test_each_trial_follows_a_reference_of_its_own(tmp_path):
