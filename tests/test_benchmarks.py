@@ -149,9 +149,10 @@ def test_a_heater_board_is_known_from_long_moves_around_the_working_point(monkey
 @pytest.mark.parametrize("function", [each for each, _ in bench_synthesis.METHODS.values()])
 def test_what_is_timed_runs(function):
     """That all find the same filter, toolbox/tests/synthesis/test_statement.py tests."""
-    function(*bench_synthesis.paper_problem(5), structure="diagonal")
+    function(*bench_synthesis.paper_problem(10), structure="diagonal")
 
 
+@pytest.mark.filterwarnings("ignore")
 def test_the_filter_for_drawn_rods_keeps_its_bound():
     assert bench_synthesis.for_rods(2, 20).certificate.grid_M <= 0.99 * (1 + 1e-6)
 

@@ -1,4 +1,4 @@
-"""The law without a reset against a plain loop over samples, its theorem, and what it refuses."""
+"""The law without a reset against law and loop written out, its theorem, and what it refuses."""
 
 import warnings
 from dataclasses import replace
@@ -10,6 +10,7 @@ import pytest
 from plants import LOOPS, ModelRig, axes, half
 from rods import PRINTED
 from scipy.signal import butter, freqz_sos
+from written_out import simulated
 
 from ilctools import (
     ClosedLoop,
@@ -56,40 +57,14 @@ def taps(Q, length):
     return np.append(h[length:0:-1], h[: length + 1])
 
 
-def plain_loop(loop, law, r, d, noise, lowest=-np.inf, highest=np.inf, step=np.inf):
-    """Period after period, sample by sample: v, u, y, e and v as it was asked for, (time, m)."""
-    A, C, (trials, period, m) = loop.plant.A, loop.plant.C, noise.shape
-    Bu, Bd = np.split(loop.plant.B, [m], axis=1)
-    c, a, R = law.L.coefficients, law.gain, len(finite_response(law)) // 2
-    h, noise = taps(law.Q, R), np.concatenate(noise)
-    r, d = (np.tile(signal, (trials, 1)) for signal in (r, d))
-    x, x_hat, delta = np.zeros(len(A)), np.zeros(len(A)), np.zeros(m)
-    v, e, u, y, asked = np.zeros((5, *r.shape))
-    sent, corrected = np.zeros(m), np.zeros(r.shape)  # v + L e, as soon as it can be known
-    for t in range(len(r)):
-        if t >= period:
-            v[t] = (1 - a) * v[t - period]
-            assert t - period + R + law.L.order < t
-            window = corrected[max(0, t - period - R) : t - period + R + 1]
-            v[t] += a * h[len(h) - len(window) :] @ window
-        y[t] = C @ x
-        e[t] = r[t] - y[t] - noise[t]
-        u[t] = loop.N @ (r[t] + v[t]) - loop.Ks @ x_hat - delta
-        far = step if t else np.inf
-        sent = np.clip(u[t], np.maximum(lowest, sent - far), np.minimum(highest, sent + far))
-        asked[t] = v[t]
-        v[t] += np.linalg.solve(loop.N, sent - u[t])
-        estimate = y[t] + noise[t] - C @ x_hat
-        x_hat, delta = (
-            A @ x_hat + Bu @ (sent + delta) + loop.KL[:-m] @ estimate,
-            delta + loop.KL[-m:] @ estimate,
-        )
-        x = A @ x + Bu @ sent + Bd @ d[t]
-        s = t - law.L.order
-        if s >= 0:
-            ahead = e[s + 1 : t + 1]
-            corrected[s] = v[s] + np.einsum("ijk,kj->i", c, ahead)
-    return v, u, y + noise, e, asked
+def asked(law, v, e, period):
+    """What (23) asks of v in endless time, a period longer than v is, by taps that are not ours."""
+    x = v.copy()
+    for k in range(law.L.order):
+        x[: -1 - k] += e[1 + k :] @ law.L.coefficients[..., k].T
+    h = taps(law.Q, len(finite_response(law)) // 2)
+    x = np.apply_along_axis(np.convolve, 0, x, h, "same")
+    return np.vstack([0 * v[:period], (1 - law.gain) * v + law.gain * x])
 
 
 def signals(loop, period=300):
@@ -100,55 +75,63 @@ def signals(loop, period=300):
     return r, 0.2 * np.cos(2 * phase + np.arange(sources))
 
 
-def assert_close(run, rtol, **signals):
-    """Signals of trials are these of endless time, as far as there are trials."""
-    for name, expected in signals.items():
-        actual = run[name].values.reshape(-1, expected.shape[1])
-        atol = rtol * np.abs(expected).max()
-        np.testing.assert_allclose(actual, expected[: len(actual)], rtol=0, atol=atol)
+def lines(run):
+    """v, u, y, e of endless time, (time, m)."""
+    return (np.concatenate(run[name].values) for name in "vuye")
+
+
+def assert_close(actual, expected, rtol):
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=rtol * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("name", "gain"), half([*CASES], [1.0, 0.6]))
-def test_v_of_periods_is_that_of_a_plain_loop(name, gain):
+def test_trials_are_the_law_and_the_loop_written_out(name, gain):
     """In simulation, of signals that differ at every border, with noise."""
     loop, law = law_for(name)
-    law = replace(law, gain=gain)
-    r, d = signals(loop)
+    law, (r, d) = replace(law, gain=gain), signals(loop)
     noise = 0.01 * np.random.default_rng(0).standard_normal((3, *r.shape))
-    v, u, y, e, _ = plain_loop(loop, law, r, d, noise)
     run = run_trials(loop, law, r, d, 3, noise=noise, reset=False)
-    assert_close(run, 1e-8, v=v, u=u, y=y, e=e)
+    (v, u, y, e), r, d = lines(run), np.tile(r, (3, 1)), np.tile(d, (3, 1))
+    readings, commands, _ = simulated(loop, loop.plant, r + v, d, np.concatenate(noise))
+    for pair in (y, readings), (u, commands), (e, r - y), (v, asked(law, v, e, 300)[:900]):
+        assert_close(*pair, 1e-8)
     # and with filters that end at the border it is another thing
     ends = law.next(run.v[1].values, run.e[1].values)
     assert np.abs(ends - run.v[2]).max() > 1e-3 * np.abs(v).max()
 
 
 @pytest.mark.parametrize(("name", "limited"), half([*CASES], [True, False]))
-def test_a_rig_that_never_rests_is_that_plain_loop_and_its_log_replays(name, limited, tmp_path):
+def test_a_rig_that_never_rests_is_that_loop_and_its_log_replays(name, limited, tmp_path):
     loop, law = law_for(name)
-    r, d = signals(loop)
-    d, noise, ends = 0 * d, np.zeros((4, *r.shape)), ()
+    (r, d), rig, high, step = signals(loop), ModelRig(loop.plant), np.inf, np.inf
     if limited:  # the rate, across borders, too
-        u = plain_loop(loop, law, r, d, noise)[1][:900]
+        _, u, *_ = lines(run_trials(loop, law, r, trials=3, reset=False))
         high, step = 0.8 * np.abs(u).max(axis=0), 0.6 * np.abs(np.diff(u, axis=0)).max(axis=0)
-        ends, limits = (-high, high, step), np.transpose([-high, high, step / loop.Ts])
+        limits = np.transpose([-high, high, step / loop.Ts])
         law = replace(law, limits=dict(zip(loop.controls, limits, strict=True)))
-    v, u, y, _, asked = plain_loop(loop, law, r, d, noise, *ends)
-    rig = ModelRig(loop.plant)
     with warnings.catch_warnings(action="ignore"):  # that commands are cut off
         log = record(rig, loop, law, r, trials=3, path=tmp_path / "log.csv", reset=False)
         again = replay(load_log(tmp_path / "log.csv"))
-    assert len(rig.sent) == 900 and rig.ends == 1
-    assert_close(log, 1e-7, u=u, y=y)
+    (v, u, y, e), sent = lines(log), np.array(rig.sent)[:, : r.shape[1]]
+    assert len(sent) == 900 and rig.ends == 1
+    within = np.clip(u, -high, high)
+    within[1:] = np.clip(within[1:], sent[:-1] - step, sent[:-1] + step)
+    realised = v + np.linalg.solve(loop.N, (sent - u).T).T
+    w = np.tile(r, (3, 1)) + realised
+    readings, commands, _ = simulated(loop, loop.plant, w, np.zeros((900, d.shape[1])))
+    expected = asked(law, realised, e, 300)
+    for pair in (sent, within), (y, readings), (sent, commands), (v, expected[:900]):
+        assert_close(*pair, 1e-7)
     assert again.agreement == "the recorded v is that of the law in every trial"
-    assert again.departure.to_numpy().max() < 1e-8 * np.abs(v).max()
-    np.testing.assert_allclose(again.simulated.v, log.v, atol=1e-7 * np.abs(v).max())
+    size = np.abs(v).max()
+    assert again.departure.to_numpy().max() < 1e-8 * size
+    np.testing.assert_allclose(again.simulated.v, log.v, atol=1e-7 * size)
     # what follows, of which nothing is cut off yet
-    expected = asked[900 : 900 + len(again.following)]
-    assert 0 < len(expected) < 300
-    np.testing.assert_allclose(again.following, expected, atol=1e-7 * np.abs(v).max())
+    following = again.following
+    assert 0 < len(following) < 300
+    np.testing.assert_allclose(following, expected[900:][: len(following)], atol=1e-7 * size)
     changed = log.copy(deep=True)
-    changed.v[2, 290:] += 0.01 * np.abs(v).max()  # which the end of trial 3 must not be
+    changed.v[2, 290:] += 0.01 * size  # which the end of trial 3 must not be
     assert "departs from the law from trial 3 on" in replay(changed).agreement
 
 
@@ -278,7 +261,6 @@ def test_slew_rates_hold_across_borders_of_a_loop_that_is_not_ours():
     for asked in w[1:]:
         applied.append(np.clip(asked, applied[-1] - step, applied[-1] + step))
     assert np.abs(np.array(applied) - w).max() > step
-    assert_close(
-        run, 1e-9, y=control.forced_response(loop.P, inputs=np.transpose(applied)).outputs.T
-    )
+    y = control.forced_response(loop.P, inputs=np.transpose(applied)).outputs.T
+    assert_close(np.concatenate(run.y.values), y, 1e-9)
     np.testing.assert_allclose(run.y, log.y, atol=1e-8)
