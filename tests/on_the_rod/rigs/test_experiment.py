@@ -19,6 +19,7 @@ from ilctools import (
     law_of,
     load_log,
     record,
+    replay,
     run_trials,
     zero_phase_butterworth,
 )
@@ -44,17 +45,21 @@ def test_controller_on_the_design_model_gives_the_simulated_trial(loop, Q):
 
 
 @pytest.mark.filterwarnings("ignore:.*the reference starts")
-def test_a_rig_that_is_the_loops_plant_gives_the_simulation_by_names():
-    plant = boiler()
+def test_a_rig_that_is_the_loops_plant_gives_the_simulation_by_names(tmp_path):
+    """Each trial with a reference of its own; the third goes on from the log of two."""
+    plant, path = boiler(), tmp_path / "log.csv"
     units = {"pump, left": "l/min", "heater": "W", "depth": "mm", "heat": "degC"}
     loop = current_trial_loop(plant, plant.input_labels[:2], units=units)
     law = Law(zero_phase_butterworth(2, 0.1, 0.5), LearningFilter(np.ones((2, 2, 4)) / 3, 0.5))
     rng = np.random.default_rng(0)
-    reference, rain = rng.standard_normal((40, 2)), rng.standard_normal((3, 40, 1))
+    reference, rain = rng.standard_normal((3, 40, 2)), rng.standard_normal((3, 40, 1))
     device = RestartingModel(plant, ("spare", "heater", "rain", "pump, left"))
-    log = record(device, loop, law, reference, rain, 3, stop={"depth": None})
+    for k in (2, 3):
+        task = reference[:k], rain[:k], k
+        log = record(device, loop, law, *task, path=path, stop={"depth": None})
     run = run_trials(loop, law, reference, rain, 3)
-    assert log.sizes == run.sizes and log.attrs["Ts"] == 0.5 and device.ends == 1
+    np.testing.assert_allclose(replay(load_log(path)).simulated.y, run.y, atol=1e-9)
+    assert log.sizes == run.sizes and log.attrs["Ts"] == 0.5 and device.ends == 2
     for name in run.data_vars:
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
         assert log[name].attrs == run[name].attrs

@@ -124,14 +124,3 @@ def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     assert replayed.departure.loc[1].isna().all()
     assert replayed.departure.loc[2:].to_numpy().max() < 1e-6
     np.testing.assert_allclose(replayed.simulated.y, more.y, atol=1e-5)
-
-
-def test_each_trial_follows_a_reference_of_its_own(tmp_path):
-    references, path = np.array([R, 2 * R, -R]), tmp_path / "log.csv"
-    run = run_trials(BOILER, BOILER_LAW, references, trials=3)
-    trials = RestartingModel(boiler()), BOILER, BOILER_LAW
-    record(*trials, references[:2], trials=2, path=path)
-    log = record(*trials, references, trials=3, path=path)
-    for name in ("reference", "v", "y", "e"):
-        np.testing.assert_allclose(log[name], run[name], atol=1e-9)
-    np.testing.assert_allclose(replay(load_log(path)).simulated.y, run.y, atol=1e-9)
