@@ -70,10 +70,7 @@ def test_a_note_that_is_not_a_law_is_refused(loop, Q, trials, note):
     log = with_law(trials, Law(Q, L, loop=loop)).assign_attrs(note)
     with pytest.raises(LogError, match="law cannot be understood"):
         law_of(log)
-
-
-def test_a_law_of_another_plant_is_refused(Q, trials):
-    wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))
+    wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))  # of another plant
     with pytest.raises(LogError, match="channels"):
         law_of(with_law(trials, wide))
 

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import LEVELS, PUMPS, bump, random_plant, stage, tanks
+from plants import LEVELS, PUMPS, altered, bump, random_plant, stage, tanks
 from replayed import law_for, trials_of
 
 from ilctools import Law, current_trial_loop, load_log, replay, run_trials, save_log
@@ -50,10 +50,7 @@ def test_without_reset_the_model_goes_on_from_trial_to_trial():
 
 def test_the_fit_measures_how_wrong_a_model_is():
     plant = LOOPS["tanks"].plant
-    weak = control.ss(
-        plant.A, plant.B * [0.9, 0.9, 0.9, 1], plant.C, 0, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels,
-    )  # fmt: skip
+    weak = altered(plant, B=[0.9, 0.9, 0.9, 1])
     replayed = replay(trials_of(LOOPS["tanks"], plant=weak))
     trial = replayed.trials.isel(trial=1)
     inputs = np.hstack([trial.u, trial.disturbance])

@@ -169,17 +169,12 @@ def test_it_takes_logs_tables_one_channel_and_references_of_any_length(tmp_path)
 
 
 def test_units_do_not_matter():
-    P = coupled()[0]
-    scale = np.diag([1e3, 1e-4])
-    other = control.ss(P.A, P.B @ np.linalg.inv(scale), scale @ P.C, 0, 1.0)
-    v = np.random.default_rng(0).standard_normal((200, 2))
-    runs = [
-        run_trials(ClosedLoop(plant), Law(Q, None), OLD @ factor, trials=1, v=v @ factor)
-        for plant, factor in ((P, np.eye(2)), (other, scale))
-    ]
-    here, there = transfer(runs[0], NEW), transfer(runs[1], NEW @ scale)
-    np.testing.assert_allclose(there.v, here.v @ scale, rtol=1e-6, atol=1e-6)
-    F = np.einsum("ij,jkl,km->iml", scale, here.F, np.linalg.inv(scale))
+    v, scale = np.random.default_rng(0).standard_normal((200, 2)), np.array([1e3, 1e-4])
+    run = run_trials(ClosedLoop(coupled()[0]), Law(Q, None), OLD, trials=1, v=v)
+    other = run.assign({name: scale * run[name] for name in ("v", "y", "reference")})
+    here, there = transfer(run, NEW), transfer(other, NEW * scale)
+    np.testing.assert_allclose(there.v, here.v * scale, rtol=1e-6, atol=1e-6)
+    F = here.F * (scale[:, None] / scale)[..., None]
     np.testing.assert_allclose(there.F, F, rtol=1e-4, atol=1e-6 * np.abs(F).max())
 
 
