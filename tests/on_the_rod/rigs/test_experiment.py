@@ -155,9 +155,9 @@ def test_what_goes_wrong_ends_the_trial_and_the_rig_is_made_safe(loop, Q, tmp_pa
 
 
 def test_a_reading_that_fails_in_a_pause_is_named(loop, Q):
+    trials = Failing(20 + 2, [0.0]), loop, Law(Q, None), assumed_reference(20), None, 3
     with pytest.raises(RigError, match="in pause before trial 2, sample 3"):
-        device = Failing(20 + 2, [0.0])
-        record(device, loop, Law(Q, None), assumed_reference(20), trials=3, pause=3)
+        record(*trials, pause=3)
 
 
 def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
