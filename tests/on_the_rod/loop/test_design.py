@@ -6,42 +6,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import PUMPS, furnace, random_plant, stage, tanks
+from scipy.linalg import block_diag
 
 from ilctools import current_trial_loop
 from ilctools.models import frequency_response
 from rodlib.paper import published
 
 SIZES = {"x": 5.0, "F": 20.0}
-B = stage().B[:, :1]
-WEIGHTS = {  # of a loop, as the docstring has them
-    "the paper's": (None, {"Qs": 1, "Rs": 0.05, "Qo": np.diag([1, 1, 2]), "Ro": 1}),
-    "by sizes": (
-        SIZES,
-        {
-            "Qs": 1 / 25,
-            "Rs": 0.05 / 400,
-            "Qo": np.block([[400 * B @ B.T, np.zeros((2, 1))], [0, 0, 800]]),
-            "Ro": 25,
-        },
-    ),
-}
 
 
-@pytest.mark.parametrize("name", WEIGHTS)
-def test_gains_agree_with_python_control(name):
-    sizes, weights = WEIGHTS[name]
+@pytest.mark.parametrize("sizes", [None, SIZES])
+def test_gains_agree_with_python_control(sizes):
+    """With the weights by default, which are those of the docstring, and with these as given."""
     plant = stage()
-    A, C = plant.A, plant.C
-    Qs, Rs = weights["Qs"] * C.T @ C, weights["Rs"] * np.eye(1)
-    Qo, Ro = weights["Qo"], weights["Ro"] * np.eye(1)
+    A, B, C = plant.A, plant.B[:, :1], plant.C
+    y, u, spread = (1, 1, np.eye(2)) if sizes is None else (5, 20, 400 * B @ B.T)
+    Qs, Rs = C.T @ C / y**2, np.array([[0.05 / u**2]])
+    Qo, Ro = block_diag(spread, 2 * u**2), np.array([[y**2]])
     Aa, Ca = np.block([[A, B], [0, 0, 1]]), np.hstack([C, [[0]]])
     Ks, _, _ = control.dlqr(A, B, Qs, Rs)
     KL, _, _ = control.dlqe(Aa, np.eye(3), Ca, Qo, Ro)
-    written = {"Qs": Qs, "Rs": Rs, "Qo": Qo, "Ro": Ro}
-    for loop in (
-        current_trial_loop(plant, ["F"], sizes),
-        current_trial_loop(plant, ["F"], **written),
-    ):
+    for asked in ({"sizes": sizes}, {"Qs": Qs, "Rs": Rs, "Qo": Qo, "Ro": Ro}):
+        loop = current_trial_loop(plant, ["F"], **asked)
         np.testing.assert_allclose(loop.Ks, Ks, rtol=1e-5)
         np.testing.assert_allclose(loop.KL, KL, rtol=1e-5)
 
