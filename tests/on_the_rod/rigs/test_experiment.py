@@ -16,7 +16,6 @@ from ilctools import (
     LearningFilter,
     NormOptimal,
     current_trial_loop,
-    law_of,
     load_log,
     record,
     replay,
@@ -24,7 +23,6 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.errors import RigError
-from ilctools.law.notes import loop_of
 from rodlib.case import assumed_reference
 from rodlib.paper.repository import ROOT
 from rodlib.paper.rig_logs import PARAMETERS, experiment
@@ -50,7 +48,9 @@ def test_a_rig_that_is_the_loops_plant_gives_the_simulation_by_names(tmp_path):
     plant, path = boiler(), tmp_path / "log.csv"
     units = {"pump, left": "l/min", "heater": "W", "depth": "mm", "heat": "degC"}
     loop = current_trial_loop(plant, plant.input_labels[:2], units=units)
-    law = Law(zero_phase_butterworth(2, 0.1, 0.5), LearningFilter(np.ones((2, 2, 4)) / 3, 0.5))
+    law = Law(
+        zero_phase_butterworth(2, 0.1, 0.5), LearningFilter(np.ones((2, 2, 4)) / 3, 0.5), 4, 0.3
+    )
     rng = np.random.default_rng(0)
     reference, rain = rng.standard_normal((3, 40, 2)), rng.standard_normal((3, 40, 1))
     device = RestartingModel(plant, ("spare", "heater", "rain", "pump, left"))
@@ -58,7 +58,11 @@ def test_a_rig_that_is_the_loops_plant_gives_the_simulation_by_names(tmp_path):
         task = reference[:k], rain[:k], k
         log = record(device, loop, law, *task, path=path, stop={"depth": None})
     run = run_trials(loop, law, reference, rain, 3)
-    np.testing.assert_allclose(replay(load_log(path)).simulated.y, run.y, atol=1e-9)
+    assert np.abs(log.v[1:, -5]).min() > 0 and not log.v[:, -4:].any()  # it rests
+    replayed = replay(load_log(path))  # by the law and the loop that it names
+    assert (replayed.law.rest, replayed.law.gain) == (4, 0.3)
+    assert replayed.departure.to_numpy().max() < 1e-9
+    np.testing.assert_allclose(replayed.simulated.y, run.y, atol=1e-9)
     assert log.sizes == run.sizes and log.attrs["Ts"] == 0.5 and device.ends == 2
     for name in run.data_vars:
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
@@ -81,18 +85,6 @@ def test_only_known_disturbances_are_recorded(loop, Q):
     assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
     with pytest.raises(ValueError, match=r"disturbance is not zero for \['Q4'\]"):
         record(driver, loop, law, zeros, np.ones((5, 3)) * [0, 0, 1], 1)
-
-
-def test_v_rests_on_the_rig_too_and_the_log_names_law_and_loop(loop, Q):
-    law, device = Law(Q, L, rest=15, gain=0.3), VirtualRig()
-    log = record(device, loop, law, assumed_reference(60) * 0.02, None, 3, pause=600)
-    assert device.time == 3 * 60 + 2 * 600 + 1  # the last one with all at zero
-    assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
-    assert (law_of(log).rest, law_of(log).gain) == (15, 0.3)
-    assert loop_of(log).Ts == 1.0
-    for k in range(2):
-        following = law.next(log.v.values[k], log.e.values[k])
-        np.testing.assert_array_equal(log.v[k + 1], following)
 
 
 def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike():
