@@ -133,8 +133,8 @@ def test_the_first_coefficient_is_as_uncertain_as_in_draws_from_the_posterior():
 def test_memory_grows_as_the_trials_do():
     """Columns of each trial are made for one contrast at a time: no trial by trial by time."""
     rng = np.random.default_rng(0)
-    u = rng.standard_normal((60, 300))
+    u = rng.standard_normal((90, 200))
     groups = trials(u, lagged(u, rng))
     fit = regression(groups, False)
     # of 8 bytes each
-    assert memory(lambda: list(contradictions(fit, groups))) < 8 * 60 * 60 * 300
+    assert memory(lambda: list(contradictions(fit, groups))) < 8 * 90 * 90 * 200
