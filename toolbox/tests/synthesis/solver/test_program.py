@@ -1,12 +1,13 @@
 import numpy as np
-from problems import plant, posed
+from plants import random_response
 
+from ilctools.problem.pose import pose
 from ilctools.synthesis.formulate import orthonormalise, whitened_basis
 
 
 def test_the_basis_is_orthonormal_and_spans_the_powers_of_z():
-    P, Q, omega = plant(2)
-    problem = posed(P, Q, omega, "full")
+    P, Q, omega = random_response(0, 2)
+    problem = pose(P, Q, omega, 1.0, order=4, L_max=5.0, band=(0.01, 1))
     basis, R = whitened_basis(problem)
     z = np.exp(1j * omega) ** np.arange(1, 5)[:, None]
     np.testing.assert_allclose(R.T.astype(float) @ basis, z, atol=1e-12)
