@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from problems import memory
 from scipy.signal import lfilter
+from test_regression import stacked
 
 from ilctools.measurement import consistency as module
 from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
@@ -33,14 +34,13 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
     q, J, power = module._score(fit, groups, module._added(fit, groups, 3))
-    rows = list(records(groups, layout))
-    X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
+    X, y, means, _ = stacked(groups, layout)
     Z, gain = [], fit.mean[:, None] * (layout.kind == 1)[:, None]
-    for added, (x, output, line, _) in zip(module._added(fit, groups, 3), rows, strict=True):
+    rows = zip(module._added(fit, groups, 3), records(groups, layout), strict=True)
+    for added, (x, output, line, _) in rows:
         cut = added[-len(output) :]
         Z.append(np.hstack([x @ gain, cut - line @ (line.T @ cut)]))
     Z = np.concatenate(Z)
-    means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
     V = np.diag(1 / np.where(means, post.ratio, 1.0)) + X * post.size**2 @ X.T
     unit = np.sqrt(power.diagonal())
     by_hand = np.linalg.solve(V, np.column_stack([y, Z]))
@@ -113,20 +113,20 @@ def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noi
         assert FOLLOWS not in said(trials(u, y), False)
 
 
-def test_the_first_coefficient_is_as_uncertain_as_in_draws_from_the_posterior():
+def test_the_first_coefficient_is_as_uncertain_as_its_posterior_says():
+    """By a dense matrix."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(60), 3)[None]
-    fit = regression(
-        trials(u, lfilter([0.3], [1, -0.7], u) + 0.1 * rng.standard_normal((1, 180))), True
-    )
-    count, post, layout = fit.data.count.sum(), fit.posterior, fit.data.layout
-    z = np.linalg.solve(post.U, rng.standard_normal((len(post.U), 20_000)))
-    x = fit.mean[:, None] + post.size[:, None] * (post.rest / count) ** 0.5 * z
-    drawn = (increments(layout.moved[0]) @ x[(layout.kind == 1) & (layout.c == 1)])[0]
-    first = fit.impulse(1)[0, 0]
-    assert drawn.mean() == pytest.approx(first, abs=5 * drawn.std() / 141)
+    y = lfilter([0.3], [1, -0.7], u) + 0.1 * rng.standard_normal((1, 180))
+    fit = regression(trials(u, y), True)
+    data, post, layout = fit.data, fit.posterior, fit.data.layout
+    of_first = np.zeros(len(fit.mean))
+    of_first[layout.c == 1] = increments(layout.moved[0])[0]
+    first = of_first @ fit.mean
+    precision = data.R[0] + np.diag(post.size**-2.0)
     (share,), (explained,) = module._first(fit)
-    assert first**2 / count / drawn.var() == pytest.approx(explained, rel=0.1)
+    of_noise = of_first @ np.linalg.solve(precision, of_first)
+    assert explained == pytest.approx(first**2 / of_noise / post.rest, rel=1e-6)
     assert share == pytest.approx(0.3, abs=0.1)
 
 

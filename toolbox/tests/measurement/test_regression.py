@@ -26,18 +26,22 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
     return Trials(u, y[..., None], tuple(f"trial {k}" for k in range(trials)))
 
 
+def stacked(groups, layout):
+    """X and y of all records, which rows are of means, and degrees of freedom."""
+    X, y, lines, means = zip(*records(groups, layout), strict=True)
+    means = np.repeat(means, [len(one) for one in y])
+    return np.concatenate(X), (y := np.concatenate(y)), means, len(y) - 2 * len(lines)
+
+
 @pytest.mark.parametrize(("lengths", "trials"), [((60,), 1), ((60,), 3), ((40, 60), 1)])
 def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
     groups = [trials_of(trials, N, seed=N) for N in lengths]
     data = module._normal(groups, module._layout(groups, True, np.array([0, 7])), None)
-    rows = list(records(groups, data.layout))
-    X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
-    means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
+    X, y, means, count = stacked(groups, data.layout)
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
     ratio = 1 / (1 + np.exp(0.7)) if means.any() else 1.0
     weight = np.where(means, ratio, 1.0)
     S = np.diag(1 / weight) + X * np.exp(data.layout.prior(eta)[0]) @ X.T
-    count = len(y) - 2 * len(rows)
     rest = y @ np.linalg.solve(S, y)
     by_hand = count / 2 * np.log(rest) + np.linalg.slogdet(S)[1] / 2
     by_hand += np.log(ratio) * 2 * means.any() / 2  # offset and slope of the mean are free
@@ -122,39 +126,43 @@ def test_a_delay_must_be_likelier_than_its_chance():
     assert at_once.surprise == pytest.approx(surprise(at_once.eta, at_once.data)[0])
 
 
-def test_the_covariance_of_P_is_that_of_coefficients_drawn_about_the_estimate():
-    """To first order: of draws whose coefficients are a thousandth as far off."""
+def test_the_covariance_of_P_is_that_of_the_coefficients_by_their_slopes():
+    """To first order: slopes of P and of log A by differences, coefficient by coefficient."""
     fit, omega = regression([trials_of(1, N=100)], direct=True), np.linspace(0.01, 3, 5)
-    rng, small = np.random.default_rng(0), 1e-3
-    x = rng.multivariate_normal(np.zeros(len(fit.mean)), fit.C, 4000, method="eigh")
-    off = [replace(fit, mean=fit.mean + small * one).response(omega) for one in x]
-    off = (np.array(off) - fit.response(omega)) / small
-    off = np.concatenate([off.real, off.imag], axis=2)  # (draw, n, 2 m)
+    step = 1e-6 * np.abs(fit.mean).max()
+
+    def parts(x):
+        changed = replace(fit, mean=x)
+        A = 1 + fit._waves(omega)[0] @ fit.of(0, x)
+        both = np.column_stack([changed.response(omega), np.log(A)])
+        return np.hstack([both.real, both.imag])  # (n, 2 (m + 1))
+
+    slopes = [parts(fit.mean + e) - parts(fit.mean - e) for e in step * np.eye(len(fit.mean))]
+    slopes = np.moveaxis(slopes, 0, 2) / (2 * step)
+    expected = slopes @ fit.C @ slopes.swapaxes(1, 2)
     S, of_A = fit.covariance(omega)
-    sampled = np.einsum("dni,dnj->nij", off, off) / len(off)
-    size = np.trace(S, axis1=1, axis2=2)[:, None, None]
-    assert np.all(np.abs(sampled - S) < 5 * size / np.sqrt(len(off)))
-    A = 1 + fit.of(0, x[:, :, None].swapaxes(1, 2))[:, 0] @ fit._waves(omega)[0].T - 1
-    below = 1 + fit._waves(omega)[0] @ fit.of(0, fit.mean)
-    off = A / below
-    sampled = np.mean([off.real**2, off.imag**2], axis=1)
-    np.testing.assert_allclose(sampled, of_A, rtol=0.15, atol=0.02 * of_A.max())
+    of_P = [0, 1, 3, 4]
+    atol = 1e-6 * np.abs(S).max()
+    np.testing.assert_allclose(S, expected[:, of_P][:, :, of_P], rtol=1e-5, atol=atol)
+    variances = expected[:, [2, 5], [2, 5]].T
+    np.testing.assert_allclose(of_A, variances, rtol=1e-5, atol=1e-6 * of_A.max())
 
 
-def test_the_covariance_is_that_of_draws_with_other_hyperparameters():
-    """About the estimate: of a normal distribution at each of the points."""
+def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparameters():
+    """About the estimate, at each of the points: inverses of dense matrices."""
     groups = [trials_of(1, N=40, noise=0.3)]
-    fit, rng = regression(groups, direct=True), np.random.default_rng(0)
+    fit = regression(groups, direct=True)
     best, S = module._polished(module._fitted(groups, True, np.zeros(2, int), None))
-    count, squares, size = best.data.count.sum(), [], module.HEAVY * len(S) ** 0.5
-    for eta in np.concatenate([best.eta + size * S, best.eta - size * S]):
-        at = module._posterior(np.clip(eta, -module.BOUND, module.BOUND), best.data)
-        z = np.linalg.solve(at.U, rng.standard_normal((len(at.U), 4000)))
-        x = at.mean[:, None] + at.size[:, None] * (at.rest / count) ** 0.5 * z
-        squares.append(np.mean((x - fit.mean[:, None]) ** 2, axis=1))
-    expected, B = np.mean(squares, axis=0), fit.data.layout.kind > 0
-    np.testing.assert_allclose(fit.C.diagonal()[B].sum(), expected[B].sum(), rtol=0.05)
-    np.testing.assert_allclose(fit.C.diagonal()[~B].sum(), expected[~B].sum(), rtol=0.05)
+    data, expected = best.data, 0.0
+    points = best.eta + module.HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])
+    for eta in np.clip(points, -module.BOUND, module.BOUND):
+        precision = data.R[0] + np.diag(np.exp(-data.layout.prior(eta)[0]))
+        mean = np.linalg.solve(precision, data.b[0])
+        variance = (data.s[0] - mean @ data.b[0]) / data.count[0]
+        off = mean - fit.mean
+        expected = expected + variance * np.linalg.inv(precision) + np.outer(off, off)
+    expected /= len(points)
+    np.testing.assert_allclose(fit.C, expected, rtol=1e-5, atol=1e-6 * expected.max())
 
 
 def test_a_gain_at_rest_that_is_known_is_that_of_the_estimate():
