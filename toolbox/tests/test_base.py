@@ -31,7 +31,6 @@ from ilctools.base import RegularisedInverse
 from ilctools.evidence.peak import peak_of_L, peak_of_M
 from ilctools.law.notes import law_notes, text_of
 from ilctools.problem.problem import K_MAX
-from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.statement import statement
 
 LOOP, Q = ClosedLoop(STAGE), zero_phase_butterworth(2, 150.0, 1e-3)
@@ -146,9 +145,8 @@ def test_what_is_certified_for_samples_is_the_finite_filter_that_runs():
     random = np.random.default_rng(0)
     B = LearningFilter(random.standard_normal((1, 1, 801)), 1e-3, first=-400)
     K = LearningFilter(random.standard_normal((1, 1, 5)), 1e-3, first=-2)
-    x = random.standard_normal((2000, 1))
-    middle = slice(500, 1500)  # farther from the ends than B and K reach
-    assert_allclose((B @ K).apply(x)[middle], B.apply(K.apply(x))[middle], atol=1e-9)
+    product = B.frequency_response(omega) @ K.frequency_response(omega)
+    assert_allclose((B @ K).frequency_response(omega), product, atol=1e-9)
 
 
 def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_filter(
@@ -193,16 +191,6 @@ def test_its_norm_on_a_trial_is_that_of_dense_matrices(with_base):
 def test_a_base_that_is_no_share_is_refused(share):
     with pytest.raises(ValueError, match="base = "):
         synthesise(STAGE, Q, base=share)
-
-
-def test_bounds_hold_for_all_plants_of_a_list_and_all_gains():
-    plants = [STAGE, 1.1 * STAGE, 0.9 * STAGE]
-    design = synthesise(plants, Q, base=0.03, L_max=1.5, M_max=0.8)
-    omega = np.linspace(1e-3, np.pi / 1e-3, 20000)
-    L = design.filter.frequency_response(omega)
-    assert largest_singular_values(L).max() <= 1.5 * (1 + 1e-5)
-    for P in plants:
-        assert convergence(P, Q, design.filter, omega).gamma <= 0.8 * (1 + 1e-3)
 
 
 def test_K_does_not_leave_the_error_to_the_end_of_a_trial(with_base, finite):

@@ -179,7 +179,6 @@ REFUSED = {  # what the error says, and a call
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
     "P.Ts = 1.0, loop.Ts = 0.2": lambda: ClosedLoop(LAG, 0.2),
     "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
-    "P.dt = 0": lambda: ClosedLoop(control.ss(-1.0, 1, 1, 0)),
     "P has 2 inputs and 1 outputs": lambda: ClosedLoop(axes()[0, :]),
     r"outputs = \['a'\]": lambda: ClosedLoop(axes(), outputs=["a"]),
     r"outputs = \['a', 'a'\]": lambda: ClosedLoop(axes(), outputs=["a", "a"]),
@@ -322,15 +321,6 @@ def test_trials_that_diverge_by_their_ends_alone_are_warned_of():
         assert len(seen) == 1 and trial_norm(loop.P, law.Q, law.L, 200)[0] > 1
 
 
-def test_a_gain_that_passes_its_bound_between_the_frequencies_is_said():
-    loop = LOOPS["stage"]()
-    design = synthesise(loop, zero_phase_butterworth(2, 60.0, TS), order=40)
-    dense = np.linspace(1e-3, np.pi, 20_000) / TS
-    largest = np.linalg.norm(design.filter.frequency_response(dense), 2, axis=(1, 2)).max()
-    assert largest > 1.01 * design.problem.L_max
-    assert f"L_max = {design.problem.L_max:g} ({largest:.3g} between the freq" in str(design)
-
-
 def test_the_mean_over_the_band_is_that_of_many_frequencies():
     """Of thirty frequencies on a line; the sum itself stays that over them."""
     omega = np.linspace(1e-3, 1, 30) * np.pi / 2.0
@@ -398,16 +388,11 @@ def test_a_file_that_cannot_be_written_is_called_by_its_name(tmp_path):
 
 
 def test_labelled_columns_are_matched_by_name():
-    frame = pd.DataFrame(TWO[:, ::-1], columns=["y2", "y1"])
-    both = run_trials(PAPER, LAW_OF_TWO, TWO, None, 2)
-    turned = both.reference.isel(channel=[1, 0])
-    for reference in (frame, turned, pd.DataFrame(TWO)):
-        assert run_trials(PAPER, LAW_OF_TWO, reference, None, 2).identical(both)
-    names = PAPER.disturbances
+    names, frame = PAPER.disturbances, pd.DataFrame(TWO[:, ::-1], columns=["y2", "y1"])
     d = pd.DataFrame({name: [i] * 60 for i, name in enumerate(names)})
     plain = run_trials(PAPER, LAW_OF_TWO, TWO, d.values, 2)
     d = d[names[::-1]]
-    assert run_trials(PAPER, LAW_OF_TWO, TWO, d, 2, v=0 * frame).identical(plain)
+    assert run_trials(PAPER, LAW_OF_TWO, frame, d, 2, v=0 * frame).identical(plain)
 
 
 def test_one_channel_needs_no_axis():
