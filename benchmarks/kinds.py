@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import control
 import numpy as np
 
-from ilctools import ClosedLoop, Controller, current_trial_loop, measured_response, multisine, shake
+from ilctools import ClosedLoop, current_trial_loop, measured_response, multisine, shake
 from ilctools.models import frequency_response
 
 S = control.tf("s")
@@ -63,7 +63,6 @@ class Kind:
     known: object = None  # what is known of P, if it is not the loop
     sliding: Plant | None = None  # for the check, if the bench has no slope at rest
     homes: bool = True  # whether every trial begins by a homing run
-    whole: bool = False  # whether the target runs a trial by itself
 
     @property
     def P(self):
@@ -95,29 +94,6 @@ class Driver:
 
     def apply(self, u):
         self.x = self.bench.step(self.x, np.clip(u, self.low, self.high))
-
-
-class Target:
-    """The same with the controller on the device: a trial goes up, a trial comes down."""
-
-    def __init__(self, kind):
-        self.driver, self.loop = Driver(kind), kind.loop
-        self.begin, self.limits = self.driver.start, self.driver.limits
-
-    def run(self, w):
-        ours = not isinstance(self.loop, ClosedLoop)
-        controller = Controller(self.loop) if ours else None
-        y, u = [], []
-        for now in w:
-            y.append(self.driver.read())
-            u.append(controller.step(y[-1], now) if ours else now)
-            self.driver.apply(u[-1])
-        return (np.array(y), np.array(u)) if ours else np.array(y)
-
-
-def driver(kind):
-    """The driver of a kind."""
-    return (Target if kind.whole else Driver)(kind)
 
 
 def bump(samples, heights):
@@ -191,7 +167,7 @@ def column(off):
 
 
 def piezo(off):
-    """A piezo at 10 kHz, a resonance at 800 Hz, damping 0.02; the target runs our controller."""
+    """A piezo at 10 kHz, a resonance at 800 Hz, damping 0.02."""
     Ts = 1e-4
 
     def plant(w):
@@ -201,7 +177,7 @@ def piezo(off):
     w = 2 * np.pi * 800
     loop = our_loop(plant(w), Ts, {"V": 1.0}, {"um": 1.0})
     bench = plant(w * (1 - 0.05 * off))
-    return Kind(loop, bench, bump(600, [2.0]), 2 * np.pi * 300, whole=True)
+    return Kind(loop, bench, bump(600, [2.0]), 2 * np.pi * 300)
 
 
 def furnace(off):
@@ -274,11 +250,11 @@ def plc(off):
         return Plant(6, step, lambda x: x[:2], 0.02)
 
     loop = ClosedLoop(Ts=Ts, outputs=ovens, units=dict.fromkeys(ovens, "K"))
-    shaken = Kind(loop, plant(1.0, 20.0), np.zeros((1, 2)), 0.2, whole=True)
+    shaken = Kind(loop, plant(1.0, 20.0), np.zeros((1, 2)), 0.2)
     excitation = multisine(loop, 0.02, 1.5, 2.0, 2.0)
-    P = measured_response(shake(driver(shaken), loop, excitation))
+    P = measured_response(shake(Driver(shaken), loop, excitation))
     bench = plant(1.0 - 0.1 * off, 20.0 * (1 + 0.1 * off))
-    return Kind(loop, bench, bump(300, [10.0, 6.0]), 0.2, known=P, whole=True)
+    return Kind(loop, bench, bump(300, [10.0, 6.0]), 0.2, known=P)
 
 
 def table(off):

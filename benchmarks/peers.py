@@ -249,7 +249,7 @@ def row(name):
         opponents = Opponents(ours.problem, len(case.reference))
         designs = {"ours": ours.filter}
         for key, box in BOXES.items():
-            if key == "norm_optimal" and ours.problem.models[0] is None:
+            if key == "norm_optimal" and ours.problem.response.models[0] is None:
                 continue
             channels = opponents.m if key == "proportional_derivative" else 1
             design, cost = getattr(opponents, key), lambda L: later(case.errors(Q, L))
@@ -269,7 +269,7 @@ def row(name):
 
 def base_of(problem):
     """The b of B, in words."""
-    found = re.search(r"with b = (\S+),", "\n".join(problem.basis))
+    found = re.search(r"with b = (\S+),", "\n".join(problem.chosen))
     return found[1] if found else "none"
 
 

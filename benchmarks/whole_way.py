@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from kinds import KINDS, driver
+from kinds import KINDS, Driver
 from runner import publish, run, table
 
 from ilctools import InfeasibleError, load_log, record, replay, synthesise, zero_phase_butterworth
@@ -39,7 +39,7 @@ def go(row, kind, path, trials):
         row["on the rig"] = design.check(kind.P).gamma
     except ValueError as error:  # no loop that is stable
         row["said"].append(f"{error}")
-    log = record(driver(kind), loop, design.law(), reference, trials=trials, path=path)
+    log = record(Driver(kind), loop, design.law(), reference, trials=trials, path=path)
     row["rms"] = rms(log.e).values
     if not replay(load_log(path)).departure.values.max() <= 1e-9 * np.abs(log.v.values).max():
         row["failure"] = "the log departs from its law"
