@@ -1,6 +1,5 @@
 """The benchmarks are not timed here; a few cases of each run, and their outcome is tested."""
 
-import ast
 import json
 import os
 import re
@@ -12,7 +11,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from books import BOOKS, code
 
 pytest.importorskip("pytest_benchmark")
 
@@ -20,7 +18,6 @@ import bench_synthesis
 import boards
 import confidence
 import constants
-import parameters
 import peers
 import regions
 import report
@@ -187,31 +184,6 @@ def test_make_measure_lists_what_there_is():
     listed = {line.split("WHAT=")[1].split()[0] for line in runner.listed().splitlines()}
     others = {"bench_synthesis", "kinds", "plants_of_peers", "report", "runner"}
     assert listed == {path.stem for path in FOLDER.glob("*.py")} - others
-
-
-def test_two_other_settings_of_parameters_that_each_notebook_has():
-    assert [*parameters.SETTINGS] == [name[:2] for name in BOOKS]
-    for name in BOOKS:
-        chosen = {s.target.id: s.value for s in ast.parse(code(name)[1]).body}
-        settings = parameters.SETTINGS[name[:2]]
-        assert len(settings) == 2
-        for setting in settings:
-            assert {*setting} <= {*chosen}, name
-            assert setting != {key: ast.literal_eval(chosen[key]) for key in setting}
-
-
-@pytest.mark.parametrize(
-    ("name", "frame", "sentence"),
-    [
-        ("ValueError", "\x1b[31m----> 5\x1b[0m     raise ValueError(message)", True),
-        ("ValueError", "----> 5 axes.plot(x, y)", False),
-        ("KeyError", "File /a/toolbox/ilctools/arguments.py:31, in number", False),
-    ],
-)
-def test_a_check_of_ours_ends_in_a_sentence(name, frame, sentence):
-    frames = ["cell", frame]
-    error = parameters.papermill.PapermillExecutionError(0, 1, "", name, "", frames)
-    assert parameters.is_a_sentence(error) == sentence
 
 
 def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():
