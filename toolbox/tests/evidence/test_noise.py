@@ -34,14 +34,15 @@ def on_tanks():
     return loop, Law(Q, L), omega
 
 
-def after_one(loop, law, trials, noise=None, disturbance=None, plant=None):
+TRIALS, SAMPLES, AT = 60, 900, 400
+
+
+def after_one(loop, law, noise, disturbance, plant):
     """True and measured error of trials of which the first is disturbed, (kind, trial, time, m)."""
-    samples = len(disturbance if noise is None else noise)
-    n = np.zeros((trials, samples, len(loop.outputs)))
-    flows = np.zeros((trials, samples, len(loop.disturbances)))
-    n[0] += 0 if noise is None else noise
-    flows[0] += 0 if disturbance is None else disturbance
-    e = run_trials(loop, law, 0 * n[0], flows, trials, noise=n, plant=plant).e.values
+    n, d = (
+        np.concatenate([x[None], np.zeros((TRIALS - 1, *x.shape))]) for x in (noise, disturbance)
+    )
+    e = run_trials(loop, law, 0 * noise, d, TRIALS, noise=n, plant=plant).e.values
     return np.stack([e + n, e])
 
 
@@ -53,13 +54,13 @@ def test_a_single_impulse_through_the_trials_has_the_predicted_rms(on_tanks):
     """
     loop, law, omega = on_tanks
     plant, variance, power = altered(loop.plant, A=0.97), np.array([1.0, 4.0, 9.0]), 0
+    quiet, tail = np.zeros((SAMPLES, 3)), np.zeros((SAMPLES, 1))
     for impulse in np.diag(np.sqrt(variance)):
-        noise = np.zeros((900, 3))
-        noise[400] = impulse
-        power = power + after_one(loop, law, 60, noise, plant=plant) ** 2
-    tail = np.zeros((900, 1))
-    tail[400:, 0] = 0.9 ** np.arange(500)
-    flows = after_one(loop, law, 60, disturbance=tail, plant=plant) ** 2
+        noise = quiet.copy()
+        noise[AT] = impulse
+        power = power + after_one(loop, law, noise, tail, plant) ** 2
+    tail[AT:, 0] = 0.9 ** np.arange(SAMPLES - AT)
+    flows = after_one(loop, law, quiet, tail, plant) ** 2
     psd = 1 / np.abs(1 - 0.9 * np.exp(-1j * omega[:, None] * loop.Ts)) ** 2
     for disturbance, trials in ((None, power), (psd, power + flows)):
         new = trial_noise(loop, omega, variance, disturbance, plant=plant)
