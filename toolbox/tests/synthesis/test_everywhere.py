@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 from paper import paper_choices
-from plants import furnace, sigma_of_M
+from plants import bump, furnace, lags, sigma_of_M
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.errors import SolverError
@@ -60,15 +60,6 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q):
     assert design.value == pytest.approx(LEAST, rel=1e-5)
 
 
-def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
-    """Where the first plant alone keeps them, too."""
-    plants, grid = [loop.P, 1.08 * loop.P], np.geomspace(1e-4, np.pi, 40)
-    design = synthesise(plants, Q, grid, everywhere=True, M_max=0.93, **PAPER)
-    for plant in plants:
-        M, L = judged(design, plant, Q, dense(design))
-        assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
-
-
 def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
     """On 40 frequencies 0.8222 can be met."""
     grid = np.geomspace(1e-4, np.pi, 40)
@@ -114,3 +105,18 @@ def test_the_least_gain_is_that_at_every_frequency(loop, Q):
     _, found = everywhere.solve_everywhere(problem)
     L = LearningFilter(found.coefficients, 1.0).frequency_response(np.linspace(0, np.pi, 20001))
     assert largest_singular_values(L).max() <= 100 * found.largest * PROVEN
+
+
+def test_a_reference_goes_with_everywhere_and_without_Q():
+    """Added frequencies have no weight."""
+    P, Q, omega = lags(), zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(1e-3, np.pi, 100)
+    choices = {"order": 6, "L_max": 50.0, "reference": bump(300, [1.0, 2.0])}
+    plain = synthesise(P, Q, omega, **choices)
+    design = synthesise(P, Q, omega, everywhere=True, **choices)
+    grid = design.certificate.grid
+    assert design.certificate.all_M <= 0.9 * (1 + 1e-6) and len(grid.omega) > 100
+    assert {*grid.omega[grid.objective.weights > 0]} <= {*omega}
+    assert design.value >= plain.value * (1 - 1e-9)
+    chosen = synthesise([P, P], None, omega, reference=choices["reference"])
+    assert chosen.problem.lowpass.cutoff > 0.02 and chosen.certificate.predicted[2] > 0
+    assert np.isfinite(chosen.certificate.lower_bound) and chosen.problem.order == 21  # K of B K

@@ -1,11 +1,14 @@
 """Filters for several plants, and for all within a radius: against CVXPY, and among each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from plants import half, random_response
+from plants import bump, complex_normal, half, random_response, response_of, sigma_of_M
 from problems import optimum
 
 from ilctools import InfeasibleError, synthesise
+from ilctools.evidence.optimality import lower_bound
 from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.cuts import solve
@@ -13,6 +16,7 @@ from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*between the frequencies omega")
+SHAPES = [(1, "full"), (2, "full"), (2, "diagonal")]
 KINDS = ("radius", "plants", "plants and radius")
 OTHERS = 3
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}
@@ -23,38 +27,66 @@ def question(m, kind, seed, n=8):
     P, Q, omega = random_response(seed, m, n)
     rng = np.random.default_rng(seed)
     choices = dict(CHOICES)
-    size = np.linalg.norm(P, 2, axis=(1, 2))
-    if kind == "radius":
-        choices["uncertainty"] = 0.3 * size
-    if kind.startswith("plants"):
+    if "radius" in kind:
+        share = 0.1 if "plants" in kind else 0.3
+        choices["uncertainty"] = share * np.linalg.norm(P, 2, axis=(1, 2)) * (np.arange(n) != 1)
+    if "plants" in kind:
         P = [P, *(P * (1 + 0.4 * rng.uniform(-1, 1, (m, m))) for _ in range(OTHERS))]
-    if kind == "plants and radius":
-        choices["uncertainty"] = 0.1 * size
     return P, Q, omega, choices
+
+
+def check_multipliers(problem, value, U, V, cuts):
+    """The bound from those of CVXPY is its optimum, and others are below."""
+    bound = lower_bound(problem, U, V, cuts)
+    assert value * (1 - 1e-5) < bound < value * (1 + 1e-7)
+    if len(problem.plants) > 1:  # what the cuts contribute is needed
+        assert lower_bound(problem, U, V) < value / 2
+    if problem.radius is not None:  # where it is zero, G has no rows below M
+        N = cuts.N.copy()
+        N[problem.radius[cuts.frequency] == 0, problem.channels :] += 7
+        other = lower_bound(problem, U, V, replace(cuts, N=N))
+        assert other == pytest.approx(bound, rel=1e-6)
+    rng = np.random.default_rng(0)
+
+    def wrong(X, share):
+        return X + share * np.abs(X).max() * complex_normal(rng, *X.shape)
+
+    for share in [1e-3, 0.03, 1, 100] * 3:
+        N = replace(cuts, N=wrong(cuts.N, share))
+        assert lower_bound(problem, wrong(U, share), wrong(V, share), N) < value * (1 + 1e-7)
 
 
 @pytest.mark.parametrize(
     ("shape", "objective", "kind"),
-    half([(1, "full"), (2, "full"), (2, "diagonal")], ["sum", "peak"], KINDS),
+    [*half(SHAPES, ["sum", "peak", "weighted"], KINDS), ((2, "full"), "weighted", "plain")],
 )
 def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
     m, structure = shape
     P, Q, omega, choices = question(m, kind, m)
     choices |= {"structure": structure, "objective": objective}
-    if objective == "sum":  # a little more than what is possible, so that it is active
+    if objective == "weighted":
+        choices |= {"objective": "sum", "band": None, "reference": bump(100, 1.0 + np.arange(m))}
+    if objective != "peak":  # a little more than what is possible, so that it is active
         try:
             synthesise(P, Q, omega, 1.0, **choices, M_max=0.01)
         except InfeasibleError as error:
             choices["M_max"] = 1.01 * error.smallest_M_max
     ours = synthesise(P, Q, omega, 1.0, **choices)
-    theirs, *_ = optimum(ours.certificate.grid)  # with all bounds that were needed
-    assert ours.value == pytest.approx(theirs, rel=1e-5)
+    problem = ours.certificate.grid  # with all bounds that were needed
+    theirs, U, V, cuts = optimum(problem)
+    slack = {"abs": 1e-6 * problem.idle} if objective == "weighted" else {"rel": 1e-5}
+    assert ours.value == pytest.approx(theirs, **slack)
     assert ours.certificate.gap < 1e-6
-    nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
-                         **choices | {"uncertainty": None})  # fmt: skip
-    assert ours.value > nominal.value * (1 - 1e-8) - 1e-12 * ours.problem.idle  # or rounding
-    if objective == "peak":
-        assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
+    nominal = P[0] if "plants" in kind else P
+    if objective == "peak":  # it costs something
+        choices["uncertainty"] = None
+        assert ours.value > synthesise(nominal, Q, omega, 1.0, **choices).value * (1 + 1e-6)
+    else:
+        sigma = sigma_of_M(omega, nominal, Q, response_of(ours.filter.coefficients, omega))
+        weights = ours.problem.objective.weights
+        assert ours.value == pytest.approx(weights @ sigma, rel=1e-9)
+    if kind != "plain" and theirs > 1e-3:
+        check_multipliers(problem, theirs, U, V, cuts)
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
