@@ -79,22 +79,24 @@ def alarms(log, law):
     return first
 
 
+def of_another_controller(seed):
+    """A law for a loop whose controller is not ours, its reference, and random numbers."""
+    law, reference = case([*LOOPS][seed % len(LOOPS)])
+    law = Law(law.Q, law.L, loop=ClosedLoop(law.loop.P))
+    return law, reference, np.random.default_rng(seed)
+
+
 def another_gain(gain, seed, trials=20):
     """P of a ClosedLoop has another gain."""
-    rng = np.random.default_rng(seed)
-    law, reference = case([*LOOPS][seed % len(LOOPS)])
-    loop = ClosedLoop(law.loop.P)
-    law = Law(law.Q, law.L, loop=loop)
+    law, reference, rng = of_another_controller(seed)
     noise = noise_of(rng, (trials, *reference.shape), 1e-3 * np.abs(reference).max())
-    plant = altered(loop.P, B=gain)
-    return run_trials(loop, law, reference, None, trials, plant=plant, noise=noise), law
+    plant = altered(law.loop.P, B=gain)
+    return run_trials(law.loop, law, reference, None, trials, plant=plant, noise=noise), law
 
 
 def another_phase(seed, trials=30):
     """A disturbance of the outputs comes in another phase in each trial."""
-    rng = np.random.default_rng(seed)
-    law, reference = case([*LOOPS][seed % len(LOOPS)])
-    law = Law(law.Q, law.L, loop=ClosedLoop(law.loop.P))
+    law, reference, rng = of_another_controller(seed)
     omega, time = law.Q.cutoff / 3, law.Ts * np.arange(SAMPLES)[:, None]
     shape = trials, 1, reference.shape[1]
     waves = np.sin(omega * time + rng.uniform(0, 2 * np.pi, shape))

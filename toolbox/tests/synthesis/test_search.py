@@ -71,17 +71,9 @@ def test_what_is_too_uncertain_to_learn_is_said():
         synthesise(control.frd(RESPONSE, LINES, 1.0), uncertainty=radius)
 
 
-@pytest.mark.parametrize(
-    ("words", "plant", "more"),
-    [
-        ("^Ts must be given", np.moveaxis(RESPONSE, -1, 0), {"omega": LINES}),
-        ("^Ts must be given", measured_response(control.frd(RESPONSE, LINES)), {}),
-        ("^omega must be given", np.moveaxis(RESPONSE, -1, 0), {"Ts": 1.0}),
-    ],
-)
-def test_what_a_cutoff_does_not_follow_from_is_said(words, plant, more):
-    with pytest.raises(ValueError, match=words):
-        synthesise(plant, **more)
+def test_what_a_cutoff_does_not_follow_from_is_said():
+    with pytest.raises(ValueError, match=r"^Ts must be given"):
+        synthesise(measured_response(control.frd(RESPONSE, LINES)))
 
 
 def test_a_table_alone_is_enough():
