@@ -74,6 +74,6 @@ def exceeded(seed):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [1, 3, 7, 9, 15])  # none of which takes long
+@pytest.mark.parametrize("seed", [1, 3, 7, 15])  # none of which takes long
 def test_no_certificate_is_exceeded(seed):
     assert max(exceeded(seed)) <= PASSED

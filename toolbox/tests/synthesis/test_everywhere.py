@@ -60,6 +60,15 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q):
     assert design.value == pytest.approx(LEAST, rel=1e-5)
 
 
+def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
+    """Where the first plant alone keeps them, too."""
+    plants, grid = [loop.P, 1.08 * loop.P], np.geomspace(1e-4, np.pi, 40)
+    design = synthesise(plants, Q, grid, everywhere=True, M_max=0.93, **PAPER)
+    for plant in plants:
+        M, L = judged(design, plant, Q, dense(design))
+        assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
+
+
 def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
     """On 40 frequencies 0.8222 can be met."""
     grid = np.geomspace(1e-4, np.pi, 40)
