@@ -20,7 +20,7 @@ from ilctools.singular_values import largest_singular_values
 SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
 PLANTS = {  # a model, samples and for how many of them the input is held
     "a stage, in mm": (lambda: stage()[:, :1], 2000, 10),
-    "three tanks": (lambda: tanks()[:, 1:], 250, 6),
+    "three tanks": (lambda: tanks()[:, 1:], 200, 6),
     "a long delay": (lambda: control.ss(furnace(120)), 1000, 4),
 }
 
