@@ -265,6 +265,23 @@ def test_of_those_that_are_tied_the_first_is_named_whatever_the_rounding(unit, r
     assert where in design.certificate.details
 
 
+def test_a_plant_that_diverges_between_the_samples_is_not_said_to_converge():
+    """A resonance that no design frequency sees; of one channel |eigenvalue| is sigma_max."""
+    lag, Q = control.tf([10], [1, 10]), zero_phase_butterworth(2, 100.0, 0.01)
+    omega, asked = np.geomspace(0.1, np.pi / 0.01, 60), {"order": 10, "band": (0.1, 20.0)}
+    plant = control.sample_system(lag, 0.01)
+    design = synthesise(plant, Q, omega, M_max=0.97, everywhere=True, **asked)
+    said = set()
+    for w in np.linspace(55, 65, 6):
+        mode = control.tf([0.002 * w**2], [1, 0.001 * w, w**2])
+        plant = control.sample_system(lag + mode, 0.01)
+        found = design.check(plant)
+        dense = np.union1d(np.linspace(0.1, 314, 4000), np.linspace(w - 0.2, w + 0.2, 2001))
+        assert found.converges == (rate(plant, Q, design.filter, dense).gamma < 1)
+        said.add(str(found).partition(":")[0])
+    assert "diverges" in said
+
+
 def test_an_order_below_the_delay_of_the_plant_is_named():
     late = control.tf([0.1], [1, -0.9, *np.zeros(40)], 1.0)
     Q, omega = zero_phase_butterworth(2, 0.03, 1.0), np.geomspace(1e-3, np.pi, 110)
