@@ -74,7 +74,7 @@ def test_no_start_of_the_search_finds_a_larger_posterior(seed):
     groups, rng = Record.of(log).of_output(0), np.random.default_rng(seed)
     starts = [(regression.CENTRE + 4 * rng.standard_normal(7),) for _ in range(5)]
     found, *others = (
-        regression._fitted(groups, True, np.zeros(1, int), None, *first).surprise
+        regression._fitted(groups, True, np.zeros(1, int), None, *first).cost
         for first in [(), *((start,) for start in starts)]
     )
     assert found < min(others) + 0.1
@@ -85,7 +85,7 @@ def test_a_long_delay_is_found_behind_noise_and_steps():
     for kind, seed in (("a long delay, noise", 4), ("a long delay, steps", 21)):
         log, plants = KINDS[kind](np.random.default_rng([seed, len(kind)]))
         (fit,) = measured_response(log).fits
-        late, truth = fit.data.layout.moved[0][0], np.flatnonzero(plants[0][0][0])[0]
+        late, truth = fit.data.layout.knots[1][0], np.flatnonzero(plants[0][0][0])[0]
         assert 0.88 * truth < late <= truth
 
 

@@ -37,14 +37,7 @@ from scipy.linalg import helmert, solve_triangular
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from ilctools.measurement.regression import (
-    Regression,
-    Trials,
-    contrasts,
-    convolved,
-    records,
-    without,
-)
+from ilctools.measurement.regression import Regression, Trials, contrasts, records
 
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
@@ -82,7 +75,7 @@ def contradictions(
         more, k = max(explained(gains + columns) - by_gains, 0), len(columns)
         within = columns[:1] if name in names else gains
         off = 1.0 if name == FOLLOWS else np.sqrt(more / power[np.ix_(within, within)].sum())
-        certain = fdtrc(k, count, count * more / k / fit.posterior.rest) < level  # (2)
+        certain = fdtrc(k, count, count * more / k / fit.posterior.rss) < level  # (2)
         if off > SEEN and (certain or (name == FOLLOWS and _at_once(fit, level))):
             yield name, off
 
@@ -99,12 +92,13 @@ def _sets(names, m, reference):
 
 def _score(fit, groups, added):
     """q and J, (1), and Z' W Z."""
-    power, q, across, mean = 0.0, 0.0, 0.0, fit.posterior.mean
-    gains = mean[:, None] * (fit.data.layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
-    for Z, (X, y, line, repeats) in zip(added, records(groups, fit.data.layout), strict=True):
-        Z = Z[-len(y) :]
-        Z = np.hstack([X @ gains, without(line, Z)])
-        weight = fit.posterior.ratio if repeats else 1.0
+    layout, mean = fit.data.layout, fit.posterior.mean
+    power, q, across, p = 0.0, 0.0, 0.0, len(mean)
+    gains = mean[:, None] * (layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
+    for columns, repeats in records(groups, layout, added):
+        X, y, Z = columns[:, :p], columns[:, p], columns[:, p + 1 :]
+        Z = np.hstack([X @ gains, Z])
+        weight = fit.posterior.weight if repeats else 1.0
         power = power + weight * Z.T @ Z
         q = q + weight * Z.T @ (y - X @ mean)
         across = across + weight * X.T @ Z
@@ -123,10 +117,10 @@ def _first(fit):
     """First coefficient of each impulse response: relative to their sum, and what it explains."""
     layout = fit.data.layout
     lags = (layout.c == 1)[:, None]  # slow parts answer later
-    inputs = lags & (layout.kind[:, None] == 1 + np.arange(len(layout.moved)))
+    inputs = lags & (layout.kind[:, None] == 1 + np.arange(len(layout.knots) - 1))
     first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * inputs, trans=1)
-    g = fit.impulse(2 * layout.knots[-1])
-    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rest
+    g = fit.impulse(2 * layout.knots[0][-1])
+    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rss
     return g[:, 0] / g.sum(axis=1), explained
 
 
@@ -159,7 +153,10 @@ def _signals(fit, group):
     if K == 1:
         alone = alone * np.linspace(-1, 1, N)[:, None]
     passed = np.concatenate([passed, simulated**2, simulated**3], axis=2)
-    alone, passed = (convolved(z - z[:, :1], fit.denominator) for z in (alone, passed))
+    alone, passed = (
+        fftconvolve(z - z[:, :1], fit.denominator[None, :, None], axes=1)[:, :N]
+        for z in (alone, passed)
+    )
     later = [group.u[:, np.minimum(np.arange(k, N + k), N - 1)] for k in LATER]
     return alone, np.concatenate([passed, *later], axis=2)
 

@@ -41,7 +41,7 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import Regression, regression, without
+from ilctools.measurement.regression import Regression, increments, regression
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
@@ -212,7 +212,10 @@ class EstimatedResponse(Measured):
     def _fit(self, other):
         """Of the simulation of the record of one log, of which another estimate was made."""
         (group,), (sizes, units) = other.record.groups, other.record.sizes
-        m, start = len(sizes), other.fits[0].data.layout.start  # what earlier inputs leave
+        m, start = (
+            len(sizes),
+            increments(other.fits[0].data.layout.start),
+        )  # what earlier inputs leave
         u, y = group.u[..., :m] * sizes, group.y * units
         n = y.shape[1]
         U, G = np.fft.rfft(u, 2 * n, axis=1), np.fft.rfft(self._impulse(n), 2 * n)
@@ -222,7 +225,8 @@ class EstimatedResponse(Measured):
         left = []
         for columns, signal in ((line, y), (np.hstack([line, start]), y - simulated)):
             basis = np.linalg.qr(columns)[0]
-            left.append(np.sum(without(basis, signal) ** 2, axis=(0, 1)) / (n - basis.shape[1]))
+            off = signal - basis @ (basis.T @ signal)
+            left.append(np.sum(off**2, axis=(0, 1)) / (n - basis.shape[1]))
         return 1 - np.sqrt(left[1] / left[0])
 
     def _basis(self, omega, confidence):
@@ -230,8 +234,8 @@ class EstimatedResponse(Measured):
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
             "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{self.fits[0].data.layout.knots[-1]} lags, those of B after a delay and beside two "
-            "slow parts",
+            f"{self.fits[0].data.layout.knots[0][-1]} lags, those of B after a delay and beside "
+            "two slow parts",
         ]
         if not self.known.all():
             lines.append(

@@ -33,15 +33,12 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
     q, J, power = module._score(fit, groups, module._added(fit, groups, 3))
-    rows = list(records(groups, layout))
-    X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
-    Z, gain = [], fit.mean[:, None] * (layout.kind == 1)[:, None]
-    for added, (x, output, line, _) in zip(module._added(fit, groups, 3), rows, strict=True):
-        cut = added[-len(output) :]
-        Z.append(np.hstack([x @ gain, cut - line @ (line.T @ cut)]))
-    Z = np.concatenate(Z)
-    means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
-    V = np.diag(1 / np.where(means, post.ratio, 1.0)) + X * post.size**2 @ X.T
+    rows = list(records(groups, layout, module._added(fit, groups, 3)))
+    columns = np.concatenate([columns for columns, _ in rows])
+    X, y, added = np.split(columns, [len(fit.mean), len(fit.mean) + 1], axis=1)
+    Z, y = np.hstack([X @ (fit.mean * (layout.kind == 1))[:, None], added]), y[:, 0]
+    means = np.concatenate([np.full(len(columns), mean) for columns, mean in rows])
+    V = np.diag(1 / np.where(means, post.weight, 1.0)) + X * post.size**2 @ X.T
     unit = np.sqrt(power.diagonal())
     by_hand = np.linalg.solve(V, np.column_stack([y, Z]))
     np.testing.assert_allclose(Z.T @ by_hand[:, 0] / unit, q / unit, atol=1e-6 * np.linalg.norm(y))
@@ -121,8 +118,8 @@ def test_the_first_coefficient_is_as_uncertain_as_in_draws_from_the_posterior():
     )
     count, post, layout = fit.data.count.sum(), fit.posterior, fit.data.layout
     z = np.linalg.solve(post.U, rng.standard_normal((len(post.U), 20_000)))
-    x = fit.mean[:, None] + post.size[:, None] * (post.rest / count) ** 0.5 * z
-    drawn = (increments(layout.moved[0]) @ x[(layout.kind == 1) & (layout.c == 1)])[0]
+    x = fit.mean[:, None] + post.size[:, None] * (post.rss / count) ** 0.5 * z
+    drawn = (increments(layout.knots[1]) @ x[(layout.kind == 1) & (layout.c == 1)])[0]
     first = fit.impulse(1)[0, 0]
     assert drawn.mean() == pytest.approx(first, abs=5 * drawn.std() / 141)
     (share,), (explained,) = module._first(fit)
