@@ -32,8 +32,8 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     groups = trials(u, lagged(u, rng))
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
-    q, J, power = module._score(fit, groups, module._added(fit, groups, 3))
-    rows = list(records(groups, layout, module._added(fit, groups, 3)))
+    q, J, power = module._score(fit, groups, module._columns(fit, groups, 3))
+    rows = list(records(groups, layout, module._columns(fit, groups, 3)))
     columns = np.concatenate([columns for columns, _ in rows])
     X, y, added = np.split(columns, [len(fit.mean), len(fit.mean) + 1], axis=1)
     Z, y = np.hstack([X @ (fit.mean * (layout.kind == 1))[:, None], added]), y[:, 0]
