@@ -65,9 +65,9 @@ def contradictions(
     for name, k in sets.items():
         columns, last = [*range(last, last + k)], last + k
         more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
-        within = columns[:1] if name in parts else gains
-        off = np.sqrt(max(more, 0) / power[np.ix_(within, within)].sum())
-        said = fdtrc(k, n, n * max(more, 0) / k / fit.posterior.rss) < level  # (2)
+        more, within = max(more, 0), columns[:1] if name in parts else gains
+        off = np.sqrt(more / power[np.ix_(within, within)].sum())
+        said = fdtrc(k, n, n * more / k / fit.posterior.rss) < level  # (2)
         if name == FOLLOWS and (said or _at_once(fit, level)):
             yield name, 1.0
         elif said and off > SEEN:

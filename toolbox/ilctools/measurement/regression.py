@@ -15,7 +15,8 @@ Automatica 50 (2014) 657-682). In increments x from lag to lag it is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-and of a slow part D = c, with the logarithms of c and T in eta. Far lags share increments: knots,
+and of a slow part D = c, with the logarithms of c and T in eta; what a start leaves, an input that
+rested elsewhere among it, decays from the latest delay on only. Far lags share increments: knots,
 between which coefficients are on straight lines. Lags of B are counted from a delay of each input,
 where the posterior is larger for it: a little less than the lag of largest correlation of the
 signals, or of their moves, in whose spectrum phases count more than sizes (C. H. Knapp and G. C.
@@ -96,6 +97,11 @@ class Trials(NamedTuple):
     names: tuple[str, ...]  # of the trials, in messages
 
 
+def longest_of(groups: Sequence[Trials]) -> int:
+    """Samples of the longest trial."""
+    return max(group.y.shape[1] for group in groups)
+
+
 @dataclass(frozen=True)
 class _Layout:
     """Unknowns x, in blocks: increments of A, of each B, of starts, of drifts, and slow parts."""
@@ -136,20 +142,28 @@ def _knots(first, last, close, step):
 
 
 def _layout(groups, direct, delays):
-    longest, records = max(g.y.shape[1] for g in groups), sum(len(g.y) for g in groups)
+    longest, records = longest_of(groups), sum(len(group.y) for group in groups)
     m, reach, poles = len(delays), max(4, longest // SHARE), np.exp(-SLOW / longest)
     past, moves = (_knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1))
-    start = _knots(0, reach, CLOSE // 6, STEP // 2)
+    # An input that rested elsewhere before is still on its way until the latest delay.
+    start, late = _knots(0, reach, CLOSE // 6, STEP // 2), delays.max()
+    start = np.unique(np.append(0, late + start))
     starts = records if records * len(start) <= 300 else 0  # more take too long
-    inputs, drift = range(1, m + 1), np.zeros(KNOTS)  # of drifts and slow parts D = c
-    blocks = [(0, 0, past), *[(j, 1, moves) for j in inputs], *[(m + 1, 2, start)] * starts]
-    blocks += [(m + 2, 3, drift)] * len(groups) + [(j, 6, 0 * poles) for j in inputs]
-    *of_each, knots = zip(*blocks, strict=True)
-    kind, c = (np.repeat(one, [len(block) for block in knots]) for one in of_each)
-    gap = np.concatenate([np.append(np.diff(block), 0.0) for block in knots])
-    lag = np.concatenate([block - block[0] for block in knots])
-    moved = (past, *(moves + delay for delay in delays))
-    return _Layout(kind, c, lag, np.where(gap > 0, gap, np.inf), moved, start, starts, poles)
+    blocks = [(0, 0, past)]  # kind, c, knots; of slow parts and drifts D = c
+    for j in range(1, m + 1):
+        blocks += [(j, 1, moves), (j, 6, 0 * poles)]
+    blocks += [(m + 1, 2, start)] * starts + [(m + 2, 3, np.zeros(KNOTS))] * len(groups)
+    kind, c, lag, gap = np.hstack([_of_block(*block) for block in blocks])
+    lag[c == 2] = np.maximum(lag[c == 2] - late, 0)
+    knots = (past, *(moves + delay for delay in delays))
+    return _Layout(kind, c.astype(int), lag, gap, knots, start, starts, poles)
+
+
+def _of_block(kind, c, knots):
+    """Kind, c, lag and gap of each knot."""
+    gap = np.append(np.diff(knots), 0.0)
+    both = np.full((2, len(knots)), [[kind], [c]])
+    return np.vstack([both, knots - knots[0], np.where(gap > 0, gap, np.inf)])
 
 
 def lagged(signal: np.ndarray, knots: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -196,22 +210,26 @@ def contrasts(signal: np.ndarray) -> np.ndarray:
 
 def _terms(groups, layout):
     """Of each record: unknowns and their regressors at times t, (unknown, t), by term of (1); y."""
-    m, (past, *moved) = len(layout.knots) - 1, layout.knots
-    of_A, *of_B, starts, drifts = (np.flatnonzero(layout.kind == k) for k in range(m + 3))
+    of_P, starts, drifts = (np.flatnonzero(np.isin(layout.c, c)) for c in ((0, 1, 6), 2, 3))
     starts = iter(starts.reshape(-1, len(layout.start)))
     for group, drift in zip(groups, drifts.reshape(len(groups), -1), strict=True):
         t, ends = np.arange(group.y.shape[1]), np.linspace(0, group.y.shape[1] - 1, KNOTS + 1)
         start = lagged(t == 0, layout.start)
         ramps = partial(np.take, np.clip((t - ends[:-1, None]) / ends[1], 0, 1), axis=1)
-        ys, us = contrasts(group.y[..., 0]), contrasts(group.u)
-        for k in range(len(ys)):
-            terms = [(of_A, lagged(-ys[k], past))]
-            for unknowns, u, knots in zip(of_B, us[k].T, moved, strict=True):
-                slow = np.array([lfilter([0, 1 - p], [1, -p], u) for p in layout.poles])
-                terms.append((unknowns[: len(knots)], lagged(u, knots)))
-                terms.append((unknowns[len(knots) :], partial(np.take, slow, axis=1)))
-            terms += [(own, start) for own in islice(starts, 1)]
-            yield terms + [(drift, ramps)] * (k == 0), ys[k], k == 0 and len(ys) > 1
+        signals = zip(contrasts(group.u), contrasts(group.y[..., 0]), strict=True)
+        for k, (u, y) in enumerate(signals):
+            terms = [(of_P, _dynamics(u, y, layout)), *((own, start) for own in islice(starts, 1))]
+            yield terms + [(drift, ramps)] * (k == 0), y, k == 0 and len(group.y) > 1
+
+
+def _dynamics(u, y, layout):
+    """Regressors of A and of each B, with its slow parts, from signals (time, m) and (time,)."""
+    (past, *moved), poles = layout.knots, layout.poles
+    parts = [lagged(-y, past)]
+    for x, knots in zip(u.T, moved, strict=True):
+        slow = np.array([lfilter([0, 1 - p], [1, -p], x) for p in poles])
+        parts += [lagged(x, knots), partial(np.take, slow, axis=1)]
+    return lambda t: np.vstack([part(t) for part in parts])
 
 
 def records(groups, layout, beside=None) -> Iterator[tuple[np.ndarray, bool]]:
@@ -276,11 +294,6 @@ class _Posterior(NamedTuple):
         """x."""
         return self.size * solve_triangular(self.U, self.h)
 
-    @property
-    def inverse(self) -> np.ndarray:
-        """(U' U)^-1, its upper half."""
-        return dpotri(self.U)[0]
-
 
 def _posterior(eta, data):
     weight = expit(-eta[5]) if data.count[1] else 1.0
@@ -309,23 +322,21 @@ def negative_log_posterior(eta: np.ndarray, data: _Normal) -> tuple[float, np.nd
         d / d log D_i = (1 - (U' U)^-1_ii - n' z_i^2 / r) / 2,    d w / d rho = -w (1 - w),
         d / d w = (n' |y_1 - X_1 x|^2 / r + tr((U' U)^-1 D^(1/2) X_1' X_1 D^(1/2)) - n_1 / w) / 2.
     """
-    layout, n = data.layout, data.count.sum()
-    post = _posterior(eta, data)
-    size, U, h, r, w = post
+    layout, n, n_1 = data.layout, data.count.sum(), data.count[1]
+    size, U, h, r, w = _posterior(eta, data)
     off = (eta + SIZES * np.log(r / n) - CENTRE) / WIDE
-    value = n / 2 * np.log(r) + np.log(np.diag(U)).sum() + off @ off / 2  # (4)
-    value -= data.count[1] / 2 * np.log(w)
-    z, inverse = solve_triangular(U, h, check_finite=False), post.inverse
+    value = n / 2 * np.log(r) + np.log(np.diag(U)).sum() + off @ off / 2 - n_1 / 2 * np.log(w)
+    z, inverse = solve_triangular(U, h, check_finite=False), dpotri(U)[0]  # its upper half
     more = n + 2 * SIZES @ (off / WIDE)  # n'
     slope = (1 - np.diag(inverse) - more * z**2 / r) / 2
     gradient = np.bincount(layout.c, slope, len(eta)) + off / WIDE
     gradient[4] += slope @ layout.prior(eta)[1]
-    if data.count[1]:
+    if n_1:
         inverse += np.triu(inverse, 1).T
         products, residual = data.products[1], np.append(-size * z, 1.0)
-        power = residual @ products @ residual
-        trace = np.sum(inverse * (size[:, None] * products[:-1, :-1] * size))
-        gradient[5] -= (1 - w) / 2 * (w * (more * power / r + trace) - data.count[1])
+        trace = size @ (inverse * products[:-1, :-1]) @ size
+        of_w = more * (residual @ products @ residual) / r + trace - n_1 / w
+        gradient[5] -= w * (1 - w) / 2 * of_w
     return value, gradient
 
 
@@ -338,7 +349,7 @@ class _Fit(NamedTuple):
 
 
 def _fitted(groups, direct, delays, gain, first=FIRST):
-    longest = max(group.y.shape[1] for group in groups)
+    longest = longest_of(groups)
     data = _normal(groups, _layout(groups, direct, delays), gain)
     bounds = [(-BOUND, BOUND)] * len(CENTRE)
     bounds[4] = -1.5, np.log(5 * longest)
@@ -392,9 +403,9 @@ class Regression:
         above = [wave @ self.of(1 + j, self.mean) for j, wave in enumerate(B)]
         return np.stack(above, axis=1) / below[:, None], below
 
-    def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of dP, real parts first, (n, 2 m, 2 m), and variances of dA / A, (2, n), likewise."""
-        A, *B = self.data.layout.waves(omega)
+    def covariance(self, omega: np.ndarray, m=None) -> tuple[np.ndarray, np.ndarray]:
+        """Of dP from the first m inputs, real parts first, (n, 2 m, 2 m), and of dA / A, (2, n)."""
+        A, *B = self.data.layout.waves(omega)[: m and m + 1]
         (P, below), kind = self._ratio(A, *B), self.data.layout.kind
         slopes = np.zeros((len(omega), len(B) + 1, len(kind)), complex)
         slopes[:, -1, kind == 0] = A / below[:, None]
@@ -415,7 +426,7 @@ class Regression:
     def stable(self) -> bool:
         """Whether the estimate of A has no zero outside the unit circle, by how often it turns."""
         a = self.denominator
-        turns = np.fft.rfft(a, 1 << int(np.log2(2 * len(a) + 4096)))
+        turns = np.fft.rfft(a, 2 * len(a) + 4096)
         return bool(abs(np.angle(turns[1:] / turns[:-1]).sum()) < 1)
 
     def impulse(self, n: int) -> np.ndarray:
@@ -425,7 +436,9 @@ class Regression:
             x, slow = np.split(self.of(1 + j, self.mean), [len(knots)])
             B.append(_coefficients(x, knots, n))
             B[j][1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
-        return fftconvolve(B, [_reciprocal(self.denominator, n)], axes=1)[:, :n]
+        g = fftconvolve(B, [_reciprocal(self.denominator, n)], axes=1)[:, :n]
+        g[:, 0] = np.array(B)[:, 0]  # exactly: zero where y does not answer at once
+        return g
 
 
 def _reciprocal(a, n):
@@ -437,30 +450,38 @@ def _reciprocal(a, n):
     return g[:n]
 
 
-def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
-    """Of one output; `direct`: whether y(t) may depend on u(t); `gain`, (m,): P at rest, if known.
+def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
+    """Of one output; `direct`: whether y(t) may depend on u(t); what is known of P beforehand.
 
-    If correlations show a delay, also with it, from what is estimated without.
+    `delays`, (m,): of the inputs, at least; if correlations show more, also with that, from what is
+    estimated without. `gain`, (m,): P at rest.
     """
-    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int), gain)
+    delays = delays + np.zeros(groups[0].u.shape[2], int)
+    best = _fitted(groups, direct, delays, gain)
     for differences, room in enumerate(ROOM):
-        peaks = _peaks(groups, differences)
-        if peaks.max() >= LATE:
-            late = _fitted(groups, direct, (room * peaks).astype(int), gain, [best.eta])
+        more = _peaks(groups, differences) - delays
+        if more.max() >= LATE:
+            further = delays + (room * np.maximum(more, 0)).astype(int)
+            late = _fitted(groups, direct, further, gain, [best.eta])
             best = min(best, late, key=lambda fit: fit.cost)
     best, S = _polished(best)
+    at = _posterior(best.eta, best.data)
+    return Regression(at.mean, best.data, at, _covariance(best, S, at.mean))
+
+
+def _covariance(best, S, mean):
+    """Of x, over the points of the quadrature."""
     apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])
-    points = np.clip(best.eta + apart, -BOUND, BOUND)
-    at, n, C = _posterior(best.eta, best.data), best.data.count.sum(), 0.0
+    points, n, C = np.clip(best.eta + apart, -BOUND, BOUND), best.data.count.sum(), 0.0
     for there in (_posterior(eta, best.data) for eta in points):
-        off, D = there.mean - at.mean, np.outer(there.size, there.size)
-        C = C + (there.rss / n * there.inverse * D + np.outer(off, off)) / len(points)
-    return Regression(at.mean, best.data, at, np.triu(C) + np.triu(C, 1).T)
+        off, D = there.mean - mean, np.outer(there.size, there.size)
+        C = C + (there.rss / n * dpotri(there.U)[0] * D + np.outer(off, off)) / len(points)
+    return np.triu(C) + np.triu(C, 1).T
 
 
 def _peaks(groups, differences):
     """Lags of largest correlation of each input, or of its moves, with the output, (m,)."""
-    longest, products = max(group.y.shape[1] for group in groups), 0.0
+    longest, products = longest_of(groups), 0.0
     for group in groups:
         signals = contrasts(np.concatenate([group.u, group.y], axis=2))
         signals = np.diff(signals - signals.mean(axis=1, keepdims=True), differences, axis=1)
