@@ -82,8 +82,7 @@ def test_no_start_of_the_search_finds_a_larger_posterior(seed):
 
 def test_a_long_delay_is_found_behind_noise_and_steps():
     """By correlation of the signals, or of their moves; 2 to 12 % before the truth."""
-    noise, steps = "a long delay, noise", "a long delay, steps"
-    for kind, seed in ((noise, 1), (noise, 4), (steps, 21)):
+    for kind, seed in (("a long delay, noise", 1), ("a long delay, steps", 21)):
         log, plants = KINDS[kind](np.random.default_rng([seed, len(kind)]))
         estimate = measured_response(log)
         # though where the input rested before the record is still on its way

@@ -232,17 +232,13 @@ class EstimatedResponse(Measured):
             "two slow parts",
         ]
         if not self.known.all():
+            ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
+            words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[:5]]
             lines.append(
-                f"P is identified from {self._intervals()} rad/s; elsewhere the input had too "
+                f"P is identified from {', '.join(words)} rad/s; elsewhere the input had too "
                 "little power, and the radius is that of what was assumed before the data"
             )
         return lines
-
-    def _intervals(self):
-        """Where it is identified, in words: five intervals at most."""
-        ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
-        words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[:5]]
-        return ", ".join(words)
 
     def __repr__(self):
         radius = self.radius()[self.known]

@@ -13,7 +13,6 @@ from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.measurement.regression import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
-FEWEST = 20  # samples of a trial
 AXES = "trial", "time", ...
 
 
@@ -105,8 +104,8 @@ def _moves(name, log, source):
     u, before, y = (signal.transpose(*AXES).values for signal in signals)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
-    if len(y[0]) < FEWEST:
-        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
+    if len(y[0]) < 20:
+        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have 20 or more")
     if "disturbance" in log:
         d = log.disturbance.transpose(*AXES).values.reshape(*u.shape[:2], -1)
         u, before = (np.concatenate([signal, d], axis=2) for signal in (u, before))
@@ -117,9 +116,9 @@ def _moves(name, log, source):
 
 def _titles(log, trials, name):
     where = "" if name == "log" else f" of {name}"
-    joined = trials < log.sizes["trial"]
-    titles = ["the trials"] if joined else [f"trial {k}" for k in log.trial.values]
-    return tuple(title + where for title in titles)
+    if trials < log.sizes["trial"]:
+        return ("the trials" + where,)
+    return tuple(f"trial {k}{where}" for k in log.trial.values)
 
 
 def _samples_of(delay, m, inputs):

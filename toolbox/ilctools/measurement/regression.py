@@ -24,7 +24,7 @@ Carter, IEEE Trans. Acoust. Speech Signal Process. 24 (1976) 320-327).
 
 *Posterior.* With the regressors of (1), T(u) the matrix of the lags of u, H their increments,
 
-    X = [-T(y) H, T(u_1) H, ..., T(u_m) H, T(1, 0, 0 ...) H, ramps, slow parts]
+    X = [-T(y) H, T(u_1) H, slow parts, ..., T(u_m) H, slow parts, T(1, 0, 0 ...) H, ramps]
 
 without offset and slope, and so y,
 
@@ -84,7 +84,6 @@ FIRST = [CENTRE + 6 * SIZES + drift * (np.arange(7) == 3) for drift in (0.0, 9.0
 BOUND = 50.0  # of all logarithms
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
 ROOM = 0.9, 0.98  # delays that are tried, relative to that lag of the signals and of their moves
-PHASES = 0.8  # power of the sizes that is taken out of a spectrum: of 1, only phases would count
 STEPS = 1e-3  # of eta, for the curvature
 HEAVY = 1.2  # tails of eta, relative to normal ones
 
@@ -487,5 +486,6 @@ def _peaks(groups, differences):
         signals = np.diff(signals - signals.mean(axis=1, keepdims=True), differences, axis=1)
         spectra = np.fft.rfft(signals, 2 * longest, axis=1)
         products = products + np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
-    phases = products / np.maximum(np.abs(products), 1e-300) ** PHASES
+    # of 1, only phases would count
+    phases = products / np.maximum(np.abs(products), 1e-300) ** 0.8
     return np.argmax(np.abs(np.fft.irfft(phases, axis=0))[: longest // 2], axis=0)

@@ -33,8 +33,7 @@ def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials, monk
     rows = list(records(groups, data.layout))
     monkeypatch.setattr(module, "BLOCK", 16)  # of which it does not depend
     again = module._normal(groups, data.layout, None)
-    for one, other in zip(again[:2], data[:2], strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-10)
+    np.testing.assert_allclose(again.products, data.products, atol=1e-10)
     X, y = np.split(np.concatenate([columns for columns, _ in rows]), [-1], axis=1)
     y, means = y[:, 0], np.concatenate([np.full(len(columns), mean) for columns, mean in rows])
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
@@ -69,9 +68,8 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
 def test_running_sums_are_the_signal_by_each_column_of_increments(knots):
     signal, basis = np.random.default_rng(0).standard_normal(50), increments(np.array(knots))
     by_hand = np.stack([np.convolve(signal, column)[:50] for column in basis.T], axis=1)
-    at = module.lagged(signal, np.array(knots))
-    np.testing.assert_allclose(at(np.arange(50)), by_hand.T, atol=1e-12)
-    np.testing.assert_allclose(at(np.arange(20, 30)), by_hand[20:30].T, atol=1e-12)
+    found = module.lagged(signal, np.array(knots))(np.arange(50))
+    np.testing.assert_allclose(found, by_hand.T, atol=1e-12)
 
 
 def test_contrasts_keep_independent_noise_and_take_what_repeats_into_one():
