@@ -13,7 +13,6 @@ from scipy.stats import binom
 from ilctools import ClosedLoop, current_trial_loop, load_log, measured_response, multisine, shake
 from ilctools.errors import LogError, RigError
 from ilctools.law.notes import loop_note, loop_of
-from ilctools.measurement import excitation as excitations
 from ilctools.measurement.excitation import excitation_of, with_excitation
 from ilctools.measurement.excited import ExcitedResponse, _sparse, excited_response
 from ilctools.models import state_sequence
@@ -138,12 +137,9 @@ def delayed(u):
         (delayed, ["y"], 0.3, 6, 2.2),
     ],
 )
-def test_the_radius_holds_what_is_not_linear(
-    plant, outputs, bent, realisations, hours, monkeypatch
-):
+def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations, hours):
     """Behind w + c w^3; the truth is the mean over the draws of phases, without noise."""
     loop, rng = ClosedLoop(Ts=1.0, outputs=outputs), np.random.default_rng(1)
-    monkeypatch.setattr(excitations, "CLIPPED", 20)  # high peaks do no harm
 
     def measured(excitation, noise):
         w = excitation.signals

@@ -7,7 +7,8 @@ delta = 0. At its estimate x the score of delta and its information are, without
     F = q' J^-1 q / (k s^2),                                                                    (2)
 
 and F of k columns has an F(k, n) distribution if delta = 0 and n is large (C. R. Rao, Proc.
-Cambridge Phil. Soc. 44 (1948) 50-57). One set of columns Z after the other, each passed by A:
+Cambridge Phil. Soc. 44 (1948) 50-57). One hypothesis, a set of columns Z passed by A, after the
+other:
 
 - of one trial only, or times the time in a single trial, the simulated output and its slope:
   another gain, another delay;
@@ -30,29 +31,17 @@ off P is cannot be known then: by all of it.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import helmert, solve_triangular
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from ilctools.measurement.regression import (
-    Regression,
-    Trials,
-    contrasts,
-    convolved,
-    records,
-    without,
-)
+from ilctools.measurement.regression import Regression, Trials, contrasts, records
 
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
-RANK = 1e-9  # of J, relative: columns that others explain but for this are nothing
 LATER = (1, 3, 9)  # samples by which inputs are later
-# Of the first coefficient of an impulse response to their sum: what plants do not have, and what
-# they do not have where u(t) explains EXACT times the power that is left.
-WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
@@ -68,66 +57,43 @@ def contradictions(
 
     `reference`: whether the reference is in the record, or else u may follow y.
     """
-    names = [name for group in groups for name in _parts(group)]
-    gains, sets = _sets(names, groups[0].u.shape[2], reference)
-    q, J, power = _score(fit, groups, _added(fit, groups, len(names)))
-    unit, level = np.sqrt(power.diagonal()), FALSE_ALARM / len(sets)
-
-    def explained(columns):
-        scores, among = (q / unit)[columns], np.ix_(columns, columns)
-        return scores @ np.linalg.pinv((J / unit / unit[:, None])[among], RANK, True) @ scores
-
-    count, by_gains = fit.data.count.sum(), explained(gains)
-    for name, columns in sets:
-        more, k = max(explained(gains + columns) - by_gains, 0), len(columns)
-        within = columns[:1] if name in names else gains
-        off = 1.0 if name == FOLLOWS else np.sqrt(more / power[np.ix_(within, within)].sum())
-        certain = fdtrc(k, count, count * more / k / fit.posterior.rest) < level  # (2)
-        if off > SEEN and (certain or (name == FOLLOWS and _at_once(fit, level))):
+    m, parts = groups[0].u.shape[2], [name for group in groups for name in _parts(group)]
+    gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
+    sets |= {} if reference else {FOLLOWS: m * len(LATER)}  # their columns
+    q, J, power = _score(fit, groups, _columns(fit, groups, len(parts)))
+    last, n, level = m, fit.data.count.sum(), FALSE_ALARM / len(sets)
+    for name, k in sets.items():
+        columns, last = [*range(last, last + k)], last + k
+        more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
+        more, within = max(more, 0), columns[:1] if name in parts else gains
+        off = np.sqrt(more / power[np.ix_(within, within)].sum())
+        said = fdtrc(k, n, n * more / k / fit.posterior.rss) < level  # (2)
+        if name == FOLLOWS and (said or _at_once(fit, level)):
+            yield name, 1.0
+        elif said and off > SEEN:
             yield name, off
 
 
-def _sets(names, m, reference):
-    """Columns of gains, and of each test."""
-    parts = len(names)
-    ends = m + 2 * parts + np.array([0, m, 3 * m + 2, (3 + len(LATER)) * m + 2])
-    others = ([*range(a, b)] for a, b in pairwise(ends))
-    sets = [(name, [m + k, m + parts + k]) for k, name in enumerate(names)]
-    said = (PLAY, CURVED, FOLLOWS)[: 2 if reference else 3]
-    return [*range(m)], [*sets, *zip(said, others, strict=False)]
+def score_test(q, J, power, columns) -> float:
+    """q' J^-1 q of some columns; those that others explain, but for a billionth, are nothing."""
+    unit, among = np.sqrt(power.diagonal()), np.ix_(columns, columns)
+    z, scaled = (q / unit)[columns], (J / unit / unit[:, None])[among]
+    return z @ np.linalg.pinv(scaled, 1e-9, True) @ z
 
 
 def _score(fit, groups, added):
-    """q and J, (1), and Z' W Z."""
-    power, q, across, mean = 0.0, 0.0, 0.0, fit.posterior.mean
-    gains = mean[:, None] * (fit.data.layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
-    for Z, (X, y, line, repeats) in zip(added, records(groups, fit.data.layout), strict=True):
-        Z = Z[-len(y) :]
-        Z = np.hstack([X @ gains, without(line, Z)])
-        weight = fit.posterior.ratio if repeats else 1.0
-        power = power + weight * Z.T @ Z
-        q = q + weight * Z.T @ (y - X @ mean)
-        across = across + weight * X.T @ Z
-    known = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * across, trans=1)
+    """q and J, (1), and Z' W Z, of one gain more of each input, and of the columns of records."""
+    post, layout, mean = fit.posterior, fit.data.layout, fit.mean
+    power, q, across, p = 0.0, 0.0, 0.0, len(mean)
+    gains = mean[:, None] * (layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
+    for columns, repeats in records(groups, layout, added):
+        X, y, Z = columns[:, :p], columns[:, p], columns[:, p + 1 :]
+        Z, W = np.hstack([X @ gains, Z]), post.weight if repeats else 1.0
+        power = power + W * Z.T @ Z
+        q = q + W * Z.T @ (y - X @ mean)
+        across = across + W * X.T @ Z
+    known = solve_triangular(post.U, post.size[:, None] * across, trans=1)
     return q, power - known.T @ known, power + 1e-300
-
-
-def _at_once(fit, level):
-    """Whether y answers an input at once, as by -1 / C."""
-    (share, explained), n = _first(fit), fit.data.count.sum()
-    odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > EXACT)
-    return np.any(odd & (fdtrc(1, n, n * explained) < level))
-
-
-def _first(fit):
-    """First coefficient of each impulse response: relative to their sum, and what it explains."""
-    layout = fit.data.layout
-    lags = (layout.c == 1)[:, None]  # slow parts answer later
-    inputs = lags & (layout.kind[:, None] == 1 + np.arange(len(layout.moved)))
-    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * inputs, trans=1)
-    g = fit.impulse(2 * layout.knots[-1])
-    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rest
-    return g[:, 0] / g.sum(axis=1), explained
 
 
 def _parts(group):
@@ -135,39 +101,67 @@ def _parts(group):
     return group.names if len(group.y) > 1 else [f"the course of {group.names[0]}"]
 
 
-def _added(fit, groups, parts):
-    """Z of each record, (time, column)."""
+def _columns(fit, groups, parts):
+    """Z of each record, (time, column): of each part, and of the other hypotheses."""
     first = 0
     for group in groups:
-        alone, shared = _signals(fit, group)
-        last, N = first + len(alone), alone.shape[1]
-        columns = np.zeros((N, 2, parts))
-        for weights, Z in zip(helmert(len(shared), full=True), contrasts(shared), strict=True):
-            columns[..., first:last] = np.moveaxis(weights[:, None, None] * alone, 0, 2)
-            yield np.hstack([columns.reshape(N, -1), Z])
-        first = last
+        (K, N, m), u = group.u.shape, group.u
+        g = fit.impulse(N).T if fit.stable else np.zeros((N, m))
+        y = _through(g, u).sum(axis=2, keepdims=True)
+        own = _gain_and_delay(y) * (np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0)
+        own, *shared = (
+            _through(fit.denominator[:, None], z - z[:, :1])
+            for z in (own, _through(g, _last_move(u)), _curve(g, u, y))
+        )
+        shared = contrasts(np.concatenate([*shared, _later(u)], axis=2))
+        of_parts = np.zeros((N, parts, 2))
+        for weights, Z in zip(helmert(K, full=True), shared, strict=True):
+            of_parts[:, first : first + K] = np.moveaxis(weights[:, None, None] * own, 0, 1)
+            yield np.hstack([of_parts.reshape(N, -1), Z])
+        first += K
 
 
-def _signals(fit, group):
-    """Columns of one part each, (part, time, 2), and of all, (trial, time, column)."""
-    K, N, m = group.u.shape
-    response = fit.impulse(N) if fit.stable else np.zeros((m, N))
-    bent = np.concatenate([group.u, _last_move(group.u), group.u**2, group.u**3], axis=2)
-    passed = fftconvolve(bent, np.tile(response.T, 4)[None], axes=1)[:, :N]
-    simulated, passed = passed[..., :m].sum(axis=2, keepdims=True), passed[..., m:]
-    alone = np.concatenate([simulated, np.gradient(simulated, axis=1)], axis=2)
-    if K == 1:
-        alone = alone * np.linspace(-1, 1, N)[:, None]
-    passed = np.concatenate([passed, simulated**2, simulated**3], axis=2)
-    alone, passed = (convolved(z - z[:, :1], fit.denominator) for z in (alone, passed))
-    later = [group.u[:, np.minimum(np.arange(k, N + k), N - 1)] for k in LATER]
-    return alone, np.concatenate([passed, *later], axis=2)
+def _through(g, z):
+    """Signals (trial, time, column) behind impulse responses (time, 1 or column)."""
+    return fftconvolve(z, g[None], axes=1)[:, : z.shape[1]]
+
+
+def _gain_and_delay(y):
+    """Another gain, another delay: the simulated output and its slope."""
+    return np.concatenate([y, np.gradient(y, axis=1)], axis=2)
+
+
+def _curve(g, u, y):
+    """A curve or dead zone before the plant, or behind it: squares and cubes."""
+    return np.concatenate([_through(g, u**2), _through(g, u**3), y**2, y**3], axis=2)
 
 
 def _last_move(u):
-    """Its sign, less that at the beginning, opposite to the first move, (trial, time, m)."""
+    """Backlash: the sign of the last move, less that at the beginning, opposite to the first."""
     moves = np.sign(np.diff(u, axis=1, prepend=0))
     first = np.argmax(moves != 0, axis=1)[:, None]
     moves[:, :1] = -np.take_along_axis(moves, first, 1)
     last = np.maximum.accumulate(np.where(moves, np.arange(u.shape[1])[:, None], 0), axis=1)
     return np.take_along_axis(moves, last, 1) - moves[:, :1]
+
+
+def _later(u):
+    """A loop whose reference is not in the record: inputs that come later."""
+    N = u.shape[1]
+    return np.concatenate([u[:, np.minimum(np.arange(k, N + k), N - 1)] for k in LATER], axis=2)
+
+
+def _at_once(fit, level):
+    """Whether y answers an input at once, as by -1 / C."""
+    (share, explained), n = _first(fit), fit.data.count.sum()
+    odd = (share < 0) | (share > 1.1) | (share > 0.5) & (explained > 1e6)  # counted
+    return np.any(odd & (fdtrc(1, n, n * explained) < level))
+
+
+def _first(fit):
+    """First coefficient of each impulse response: relative to their sum, and what it explains."""
+    layout, g = fit.data.layout, fit.impulse(2 * fit.data.layout.knots[0][-1])
+    lags = (layout.c == 1)[:, None] & (layout.kind[:, None] == 1 + np.arange(len(g)))
+    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * lags, trans=1)
+    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rss
+    return g[:, 0] / g.sum(axis=1), explained  # slow parts answer later

@@ -33,6 +33,7 @@ from typing import NamedTuple
 import control
 import numpy as np
 import xarray as xr
+from scipy.signal import fftconvolve
 from scipy.special import gammainccinv, ndtri, wrightomega
 
 from ilctools import arguments
@@ -41,18 +42,15 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import Regression, regression, without
+from ilctools.measurement.regression import Regression, increments, regression
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
 
-LINES = 200  # frequencies at which the region is found
 FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes benchmarks cover
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
-SMALL = 1e-8  # least E |dA / A|^2, below which t is x
-UNSTABLE = 0.05  # probability of a zero of A outside, from which it is said
-NAMED = 5  # contradictions, or intervals of frequencies, at most that are said
+UNSTABLE = 0.16  # probability of a zero of A outside, from which it is said
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
 
@@ -120,18 +118,16 @@ class EstimatedResponse(Measured):
                 yield f"{name} may not settle: {LOOP}"
 
     def _at(self, omega):
-        angles, m = omega * self.loop.Ts, len(self.record.inputs)
-        rows = np.stack([fit.response(angles)[:, :m] for fit in self.fits], axis=1)
-        return self.units * rows * np.exp(-1j * np.outer(angles, self.record.delay))[:, None]
+        rows = [fit.response(omega * self.loop.Ts) for fit in self.fits]
+        m = self.units.shape[1]  # known disturbances are inputs, too
+        return self.units * np.stack(rows, axis=1)[..., :m]
 
     def _moments(self, omega):
         """tr S and the root of tr S^2, (n,), and variances of dA / A, (output, 2, n)."""
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
-            S, share = fit.covariance(omega * self.loop.Ts)
-            m = S.shape[1] // 2  # known disturbances are inputs, too
-            of_u = np.append(np.arange(len(units)), m + np.arange(len(units)))
-            S = S[:, of_u[:, None], of_u] * np.outer(np.tile(units, 2), np.tile(units, 2))
+            S, share = fit.covariance(omega * self.loop.Ts, len(units))
+            S = S * np.outer(np.tile(units, 2), np.tile(units, 2))
             trace = trace + np.trace(S, axis1=1, axis2=2)
             root = root + np.linalg.norm(S, axis=(1, 2))
             shares.append(share)
@@ -149,7 +145,7 @@ class EstimatedResponse(Measured):
         trace, root, shares = moments
         shape = trace**2 / (2 * root**2)
         x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
-        sigma2 = np.maximum(shares.sum(axis=1).max(axis=0), SMALL)
+        sigma2 = np.maximum(shares.sum(axis=1).max(axis=0), 1e-8)  # below which t is x
         w = wrightomega(1 / sigma2 - x - np.log(sigma2))  # 1 / (1 + t sigma2) = w sigma2, (2)
         t = (1 - w * sigma2) / (w * sigma2**2)
         return c * np.sqrt(t * trace / shape) + self.apart * largest_singular_values(P)
@@ -163,10 +159,7 @@ class EstimatedResponse(Measured):
 
     def _impulse(self, n):
         """Impulse response over n samples, shape (outputs, inputs, n)."""
-        g = self.units[..., None] * [fit.impulse(n)[: self.units.shape[1]] for fit in self.fits]
-        late = [min(d, n) for d in self.record.delay]
-        ends = [np.pad(g[:, j, : n - d], ((0, 0), (d, 0))) for j, d in enumerate(late)]
-        return np.stack(ends, axis=1)
+        return self.units[..., None] * [fit.impulse(n)[: self.units.shape[1]] for fit in self.fits]
 
     def model(self) -> control.StateSpace:
         """The model of lowest order within the joint radius of 99 %.
@@ -212,17 +205,22 @@ class EstimatedResponse(Measured):
     def _fit(self, other):
         """Of the simulation of the record of one log, of which another estimate was made."""
         (group,), (sizes, units) = other.record.groups, other.record.sizes
-        m, start = len(sizes), other.fits[0].data.layout.start  # what earlier inputs leave
+        m, start = (
+            len(sizes),
+            increments(other.fits[0].data.layout.start),
+        )  # what earlier inputs leave
         u, y = group.u[..., :m] * sizes, group.y * units
         n = y.shape[1]
-        U, G = np.fft.rfft(u, 2 * n, axis=1), np.fft.rfft(self._impulse(n), 2 * n)
-        simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), 2 * n, axis=1)[:, :n]
+        g = self._impulse(n)
+        simulated = [fftconvolve(u, one.T[None], axes=1)[:, :n].sum(axis=2) for one in g]
+        simulated = np.stack(simulated, axis=2)
         line = np.stack([np.ones(n), np.arange(n)], axis=1)
         start = np.pad(start, ((0, n - len(start)), (0, 0)))
         left = []
         for columns, signal in ((line, y), (np.hstack([line, start]), y - simulated)):
             basis = np.linalg.qr(columns)[0]
-            left.append(np.sum(without(basis, signal) ** 2, axis=(0, 1)) / (n - basis.shape[1]))
+            off = signal - basis @ (basis.T @ signal)
+            left.append(np.sum(off**2, axis=(0, 1)) / (n - basis.shape[1]))
         return 1 - np.sqrt(left[1] / left[0])
 
     def _basis(self, omega, confidence):
@@ -230,27 +228,40 @@ class EstimatedResponse(Measured):
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
             "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{self.fits[0].data.layout.knots[-1]} lags, those of B after a delay and beside two "
-            "slow parts",
+            f"{self.fits[0].data.layout.knots[0][-1]} lags, those of B after a delay and beside "
+            "two slow parts",
         ]
         if not self.known.all():
+            ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
+            words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[:5]]
             lines.append(
-                f"P is identified from {self._intervals()} rad/s; elsewhere the input had too "
+                f"P is identified from {', '.join(words)} rad/s; elsewhere the input had too "
                 "little power, and the radius is that of what was assumed before the data"
             )
         return lines
-
-    def _intervals(self):
-        """Where it is identified, in words: the longest intervals."""
-        ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
-        longest = np.sort(np.argsort(-np.ptp(ends, axis=1), kind="stable")[:NAMED])
-        words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[longest]]
-        return ", ".join(words)
 
     def __repr__(self):
         radius = self.radius()[self.known]
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
         return f"{super().__repr__()}\n{within}"
+
+
+def _at_rest(record, units, gain):
+    """P(0) of each output, relative to units, if it is known."""
+    if gain is not None:
+        gain = arguments.array("gain", gain, units.shape)
+    elif record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
+        gain = np.eye(len(units))  # its observer integrates
+    return [None] * len(units) if gain is None else gain / units
+
+
+def _words(said):
+    """Of contradictions, the largest of P."""
+    words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])
+    return (
+        f"{words}. The radius is larger for it: leave such trials or times out, by isel, or move "
+        "the input less"
+    )
 
 
 @on_one_thread
@@ -260,26 +271,17 @@ def estimated_response(
     """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
     record = Record.of(logs, of, delay)
     units = record.sizes[1][:, None] / record.sizes[0]
-    if gain is not None:
-        gain = arguments.array("gain", gain, units.shape)
-    elif record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
-        gain = np.eye(len(units))  # its observer integrates
-    rows = [None] * len(units) if gain is None else gain / units
+    rows = _at_rest(record, units, gain)
     noted = record.source == "w" or all("reference" in log for log in logs)
     fits, contradicted, apart = [], [], 0.0
     for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):
         groups = record.of_output(i)
-        fits.append(regression(groups, record.direct, row))
-        said = sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1])
-        apart = max([apart, *(off for _, off in said)])
-        if said:
-            words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:NAMED])
-            contradicted.append(
-                f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
-                "leave such trials or times out, by isel, or move the input less"
-            )
-    Ts = record.loop.Ts
-    omega = np.geomspace(np.pi / (2 * record.longest * Ts), np.pi / Ts, LINES)
+        fits.append(regression(groups, record.direct, record.delay, row))
+        if said := sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1]):
+            contradicted.append(f"{name} is not that of one linear plant: {_words(said)}")
+            apart = max(apart, said[0][1])
+    nyquist = np.pi / record.loop.Ts
+    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, 200)
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
     findings = (*estimate._unsettled(), *contradicted)
     if not estimate.known.any():

@@ -1,7 +1,6 @@
 """What the loop is shaken with: periodic multisines, on few lines and with low peaks."""
 
 import json
-import warnings
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
@@ -14,10 +13,7 @@ from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-LONGEST = 720.0  # hours: a month, in which no rig stays as it is
-MANY = 1000  # periods, more than which no experiment of more than a day needs
 FEWEST, MOST = 2, 10  # realisations: with more, the quantiles of the radius hardly fall
-CLIPPED = 300  # rounds in which a signal is clipped; three times as many lower its peak by 3 %
 
 
 @dataclass(frozen=True)
@@ -137,7 +133,8 @@ def multisine(
     amplitude : float or array_like, shape (m,)
         Largest |w| of each input, in the units of the outputs.
     hours : float
-        Time for all experiments. If it is too short, the error says what is needed.
+        Time for all experiments, in hours, not seconds. If it is too short, the error says what is
+        needed.
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
@@ -164,13 +161,8 @@ def multisine(
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
-    amplitude = arguments.array("amplitude", amplitude, (...,))
-    if amplitude.shape not in ((), (m,)):
-        raise ValueError(
-            f"amplitude = {amplitude.tolist()} must be one number, or one for each of the {m} "
-            f"outputs {loop.outputs}"
-        )
-    amplitude = np.broadcast_to(amplitude, (m,))
+    amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
+    amplitude = arguments.array("amplitude", amplitude, (m,))
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
     realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
@@ -196,12 +188,6 @@ def _divided(hours, cycle, realisations, lowest):
             f"{realisations} realisations of one experiment for each input: {needed:.4g} h are "
             f"needed, or lowest = {lowest * needed / hours:.3g}"
         )
-    if hours > LONGEST or (hours > 24 and available > MANY):
-        warnings.warn(
-            f"hours = {hours:g} are {hours / 24:.3g} days, {available} periods of the lowest "
-            f"frequency: likely seconds, which are {hours / 3600:.3g} h",
-            stacklevel=3,
-        )
     return realisations, periods
 
 
@@ -220,11 +206,11 @@ def _with_low_peaks(phases, harmonics, m):
     period = next_fast_len(8 * harmonics[-1])
     turns = np.exp(2j * np.pi * np.arange(m) / m)
     best, lowest = phases, np.full((*phases.shape[:-1], 1), np.inf)
-    for k in range(CLIPPED):
+    for k in range(rounds := 300):  # three times as many lower peaks by 3 %
         waves = np.real(turns[:, None] * _envelopes(phases, harmonics, period)[..., None, :])
         peak = np.abs(waves).max(axis=(-2, -1))[..., None]
         best, lowest = np.where(peak < lowest, phases, best), np.minimum(peak, lowest)
-        limit = (0.6 + 0.4 * k / CLIPPED) * peak
+        limit = (0.6 + 0.4 * k / rounds) * peak
         clipped = np.fft.fft(np.clip(waves[..., k % m, :], -limit, limit))[..., harmonics]
         phases = np.angle(clipped / turns[k % m])
     return best

@@ -22,8 +22,6 @@ from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.measurement.record import check_moved
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 
-ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
-
 
 def measured_response(
     log, of: str | None = None, uncertainty=None, *, gain=None, delay=None
@@ -127,11 +125,6 @@ def measured_response(
             f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
             "by read_table(log, time=..., inputs={...}, outputs={...})"
         )
-    if isinstance(log, np.ndarray):
-        raise ValueError(
-            f"log has shape {log.shape}, but an array does not say of what: pass a response, its "
-            "frequency last, as control.frd(log, omega, Ts)"
-        )
     if uncertainty is not None:
         raise ValueError(
             "uncertainty must be None where log is a record, from which the radius is estimated"
@@ -170,7 +163,7 @@ def _signals(log, excitation):
     w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
     off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
     for name, share in zip(log.output.values, off, strict=True):
-        if share > ROUNDED:
+        if share > 0.02:  # logs hold few digits
             raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
     y = arguments.array("log.y", log.y.values, shaken.shape)
     check_moved([y], log.output.values, "log.y", "is it connected?")

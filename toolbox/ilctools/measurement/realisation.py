@@ -15,16 +15,13 @@ import numpy as np
 from ilctools.singular_values import largest_singular_values
 
 MOST = 60  # states beside the delays
-ROUNDING = 1e-12  # of singular values, relative to the largest
-ROWS = 300  # of a Hankel matrix, in samples
-SILENT = 0.01  # of the largest of an impulse response: what is less, at its beginning, is a delay
 
 
 def model_within(
     radius: np.ndarray, P: np.ndarray, angles: np.ndarray, g: np.ndarray, stable: bool
 ) -> control.StateSpace | None:
     """A model within `radius` (n,) of P (n, p, m) at omega Ts; of impulse response (p, m, time)."""
-    loud = np.abs(g) > SILENT * np.abs(g).max(axis=2, keepdims=True)
+    loud = np.abs(g) > 0.01 * np.abs(g).max(axis=2, keepdims=True)  # what is less is a delay
     late = np.maximum(np.argmax(loud, axis=2).min(axis=0) - 1, 0)  # one is that of the states
     for delay in (late, 0 * late):
         ahead = np.stack([np.roll(g[:, j], -d, 1) for j, d in enumerate(delay)], axis=1)
@@ -42,11 +39,11 @@ def model_within(
 
 def _balanced(g):
     """A and C of the highest order."""
-    rows = min(ROWS, (g.shape[2] - 2) // 2)
+    rows = min(300, (g.shape[2] - 2) // 2)  # of a Hankel matrix, in samples
     most = min(MOST, rows * min(g.shape[:2]))
     with np.errstate(divide="ignore", invalid="ignore"):  # states that g does not need
         model, S = control.eigensys_realization(g, most, rows, rows)
-    n = min(most, np.count_nonzero(S / S[0] > ROUNDING))
+    n = min(most, np.count_nonzero(S / S[0] > 1e-12))
     return model.A[:n, :n], model.C[:, :n]
 
 

@@ -10,10 +10,9 @@ from ilctools import arguments
 from ilctools.errors import LogError
 from ilctools.law.notes import RESET, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.measurement.regression import Trials
+from ilctools.measurement.regression import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
-FEWEST = 20  # samples of a trial
 AXES = "trial", "time", ...
 
 
@@ -25,8 +24,8 @@ class Record:
     inputs: list[str]
     outputs: list[str]
     sizes: tuple[np.ndarray, np.ndarray]  # RMS of the moves of inputs (m,) and outputs (p,)
-    delay: np.ndarray  # by which the inputs are late here, (m,), samples
-    direct: bool  # whether y(t) may depend on the inputs at t, so delayed
+    delay: np.ndarray  # after which y answers at the earliest, (input,), samples
+    direct: bool  # whether y(t) may depend on the inputs at t, or when the delay is over
     source: str  # the inputs: "w" or "u"
     loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the logs name none
 
@@ -36,46 +35,27 @@ class Record:
     ) -> "Record":
         """Of a log or several; `source` and `delay` as for :func:`ilctools.measured_response`."""
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
-        names = [f"log[{i}]" if len(logs) > 1 else "log" for i in range(len(logs))]
-        check_match(**{n: Signals.of_log(log) for n, log in zip(names, logs, strict=True)})
+        named = {f"log[{i}]" if len(logs) > 1 else "log": log for i, log in enumerate(logs)}
+        check_match(**{name: Signals.of_log(log) for name, log in named.items()})
         if source is None:
             source = "w" if all("reference" in log for log in logs) else "u"
         arguments.choice("of", source, ["u", "w"])
-        moves = [_moves(log, source, name) for log, name in zip(logs, names, strict=True)]
-        first, outputs = logs[0], logs[0].output.values.tolist()
-        loop = (loop_of(first) if source == "w" else None) or ClosedLoop(
-            None, period_of(first), outputs,
-            units=dict(zip(outputs, first.output_unit.values.tolist(), strict=True)),
-        )  # fmt: skip
-        moved = outputs if source == "w" else first.control.values.tolist()
-        m, width = len(moved), min(u.shape[2] for u, _ in moves)
-        moving = np.any([np.ptp(u[..., :width], axis=(0, 1)) > 0 for u, _ in moves], axis=0)
-        moving[:m] = True  # known disturbances that rest explain nothing
-        inputs, answers = [u[..., :width][..., moving] for u, _ in moves], [y for _, y in moves]
-        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
-        check_moved([u[..., :m] for u in inputs], moved, f"{names[0]}.{source}", remedy)
-        check_moved(answers, outputs, f"{names[0]}.y", "is it connected?")
-        delay = _samples_of(delay, m)
-        sizes, units = _sizes(inputs), _sizes(answers)
+        loop = _loop_of(logs[0], source)
+        inputs = loop.outputs if source == "w" else logs[0].control.values.tolist()
+        m, (u, y) = len(inputs), _signals(named, source, inputs, loop.outputs)
+        delay, sizes, units = _samples_of(delay, m, u[0].shape[2]), _sizes(u), _sizes(y)
         groups = [
-            Trials(_late(u / sizes, delay), y / units, _titles(log, len(y), name))
-            for log, name, u, y in zip(logs, names, inputs, answers, strict=True)
+            Trials(x / sizes, z / units, _titles(log, len(z), name))
+            for (name, log), x, z in zip(named.items(), u, y, strict=True)
         ]
-        return cls(
-            groups=tuple(groups),
-            inputs=moved if source == "u" else loop.references,
-            outputs=outputs,
-            sizes=(sizes[:m], units),
-            delay=delay,
-            direct=source == "w" or "reference" not in first or delay.min() > 0,
-            source=source,
-            loop=loop,
-        )
+        direct = source == "w" or "reference" not in logs[0] or delay[:m].min() > 0
+        inputs, sizes = loop.references if source == "w" else inputs, (sizes[:m], units)
+        return cls(tuple(groups), inputs, loop.outputs, sizes, delay, direct, source, loop)
 
     @property
     def longest(self) -> int:
         """Samples of the longest trial."""
-        return max(group.y.shape[1] for group in self.groups)
+        return longest_of(self.groups)
 
     def of_output(self, i: int) -> list[Trials]:
         """With one output only."""
@@ -92,7 +72,27 @@ class Record:
         )
 
 
-def _moves(log, source, name):
+def _loop_of(log, source):
+    """The loop that a log names, if it is one from w; else one without P."""
+    outputs, units = log.output.values.tolist(), log.output_unit.values.tolist()
+    named = loop_of(log) if source == "w" else None
+    units = dict(zip(outputs, units, strict=True))
+    return named or ClosedLoop(None, period_of(log), outputs, units=units)
+
+
+def _signals(named, source, inputs, outputs):
+    """Inputs, with the disturbances that all logs know if they move, and outputs, of each log."""
+    u, y = zip(*(_moves(*pair, source) for pair in named.items()), strict=True)
+    (first, *_), m, known = named, len(inputs), min(x.shape[2] for x in u)
+    remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+    check_moved([x[..., :m] for x in u], inputs, f"{first}.{source}", remedy)
+    check_moved(y, outputs, f"{first}.y", "is it connected?")
+    moving = np.any([np.ptp(x[..., :known], axis=(0, 1)) > 0 for x in u], axis=0)
+    moving[:m] = True
+    return [x[..., :known][..., moving] for x in u], y
+
+
+def _moves(name, log, source):
     """Inputs with known disturbances, and outputs, from before each trial on."""
     if source == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
@@ -104,8 +104,8 @@ def _moves(log, source, name):
     u, before, y = (signal.transpose(*AXES).values for signal in signals)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
-    if len(y[0]) < FEWEST:
-        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
+    if len(y[0]) < 20:
+        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have 20 or more")
     if "disturbance" in log:
         d = log.disturbance.transpose(*AXES).values.reshape(*u.shape[:2], -1)
         u, before = (np.concatenate([signal, d], axis=2) for signal in (u, before))
@@ -116,26 +116,17 @@ def _moves(log, source, name):
 
 def _titles(log, trials, name):
     where = "" if name == "log" else f" of {name}"
-    joined = trials < log.sizes["trial"]
-    titles = ["the trials"] if joined else [f"trial {k}" for k in log.trial.values]
-    return tuple(title + where for title in titles)
+    if trials < log.sizes["trial"]:
+        return ("the trials" + where,)
+    return tuple(f"trial {k}{where}" for k in log.trial.values)
 
 
-def _samples_of(delay, m):
+def _samples_of(delay, m, inputs):
     delay = 0 if delay is None else delay
     delay = arguments.array("delay", [delay] * m if np.ndim(delay) == 0 else delay, (m,))
     if delay.min() < 0 or np.any(delay % 1):
         raise ValueError(f"delay = {delay.tolist()} must be whole numbers of samples, 0 or more")
-    return delay.astype(int)
-
-
-def _late(u, delay):
-    """Inputs (trial, time, channel), the first of them later by samples (m,)."""
-    late = u.copy()
-    for j, samples in enumerate(delay):
-        late[:, :, j] = 0.0
-        late[:, samples:, j] = u[:, : max(u.shape[1] - samples, 0), j]
-    return late
+    return np.append(delay, np.zeros(inputs - m)).astype(int)
 
 
 def check_moved(signals, names, what, remedy):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from problems import memory
 from scipy.signal import lfilter
-from test_regression import stacked
 
 from ilctools.measurement import consistency as module
 from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
@@ -33,15 +32,13 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     groups = trials(u, lagged(u, rng))
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
-    q, J, power = module._score(fit, groups, module._added(fit, groups, 3))
-    X, y, means, _ = stacked(groups, layout)
-    Z, gain = [], fit.mean[:, None] * (layout.kind == 1)[:, None]
-    rows = zip(module._added(fit, groups, 3), records(groups, layout), strict=True)
-    for added, (x, output, line, _) in rows:
-        cut = added[-len(output) :]
-        Z.append(np.hstack([x @ gain, cut - line @ (line.T @ cut)]))
-    Z = np.concatenate(Z)
-    V = np.diag(1 / np.where(means, post.ratio, 1.0)) + X * post.size**2 @ X.T
+    q, J, power = module._score(fit, groups, module._columns(fit, groups, 3))
+    rows = list(records(groups, layout, module._columns(fit, groups, 3)))
+    columns = np.concatenate([columns for columns, _ in rows])
+    X, y, added = np.split(columns, [len(fit.mean), len(fit.mean) + 1], axis=1)
+    Z, y = np.hstack([X @ (fit.mean * (layout.kind == 1))[:, None], added]), y[:, 0]
+    means = np.concatenate([np.full(len(columns), mean) for columns, mean in rows])
+    V = np.diag(1 / np.where(means, post.weight, 1.0)) + X * post.size**2 @ X.T
     unit = np.sqrt(power.diagonal())
     by_hand = np.linalg.solve(V, np.column_stack([y, Z]))
     np.testing.assert_allclose(Z.T @ by_hand[:, 0] / unit, q / unit, atol=1e-6 * np.linalg.norm(y))
@@ -121,12 +118,12 @@ def test_the_first_coefficient_is_as_uncertain_as_its_posterior_says():
     fit = regression(trials(u, y), True)
     data, post, layout = fit.data, fit.posterior, fit.data.layout
     of_first = np.zeros(len(fit.mean))
-    of_first[layout.c == 1] = increments(layout.moved[0])[0]
+    of_first[layout.c == 1] = increments(layout.knots[1])[0]
     first = of_first @ fit.mean
-    precision = data.R[0] + np.diag(post.size**-2.0)
+    precision = data.products[0, :-1, :-1] + np.diag(post.size**-2.0)
     (share,), (explained,) = module._first(fit)
     of_noise = of_first @ np.linalg.solve(precision, of_first)
-    assert explained == pytest.approx(first**2 / of_noise / post.rest, rel=1e-6)
+    assert explained == pytest.approx(first**2 / of_noise / post.rss, rel=1e-6)
     assert share == pytest.approx(0.3, abs=0.1)
 
 

@@ -80,7 +80,7 @@ def test_the_radius_is_that_of_the_ratio_of_normal_coefficients(monkeypatch):
         estimate = measured_response(moved(LAG, N, noise=noise))
         (fit,), angles = estimate.fits, estimate.omega * estimate.loop.Ts
         x = np.random.default_rng(0).multivariate_normal(fit.mean, fit.C, 10_000, method="eigh")
-        A, B = fit._waves(angles)
+        A, B = fit.data.layout.waves(angles)
         drawn = fit.of(1, x) @ B.T / (1 + fit.of(0, x) @ A.T) - fit.response(angles)[:, 0]
         ratio = estimate.radius(0.95) / (estimate.units[0] * np.quantile(abs(drawn), 0.95, 0))
         # at rest errors are real, and the tail of (2), of complex ones, is too light

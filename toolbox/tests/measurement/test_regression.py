@@ -12,9 +12,9 @@ from ilctools.measurement.regression import (
     Trials,
     contrasts,
     increments,
+    negative_log_posterior,
     records,
     regression,
-    surprise,
 )
 
 
@@ -28,16 +28,20 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
 
 def stacked(groups, layout):
     """X and y of all records, which rows are of means, and degrees of freedom."""
-    X, y, lines, means = zip(*records(groups, layout), strict=True)
-    means = np.repeat(means, [len(one) for one in y])
-    return np.concatenate(X), (y := np.concatenate(y)), means, len(y) - 2 * len(lines)
+    columns, means = zip(*records(groups, layout), strict=True)
+    means = np.repeat(means, [len(one) for one in columns])
+    X, y = np.split(np.concatenate(columns), [-1], axis=1)
+    return X, y[:, 0], means, len(y) - 2 * len(columns)
 
 
 @pytest.mark.parametrize(("lengths", "trials"), [((60,), 1), ((60,), 3), ((40, 60), 1)])
-def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
+def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials, monkeypatch):
     groups = [trials_of(trials, N, seed=N) for N in lengths]
     data = module._normal(groups, module._layout(groups, True, np.array([0, 7])), None)
     X, y, means, count = stacked(groups, data.layout)
+    monkeypatch.setattr(module, "BLOCK", 16)  # of which it does not depend
+    again = module._normal(groups, data.layout, None)
+    np.testing.assert_allclose(again.products, data.products, atol=1e-10)
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
     ratio = 1 / (1 + np.exp(0.7)) if means.any() else 1.0
     weight = np.where(means, ratio, 1.0)
@@ -46,9 +50,9 @@ def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
     by_hand = count / 2 * np.log(rest) + np.linalg.slogdet(S)[1] / 2
     by_hand += np.log(ratio) * 2 * means.any() / 2  # offset and slope of the mean are free
     off = eta + module.SIZES * np.log(rest / count) - module.CENTRE
-    value, gradient = surprise(eta, data)
+    value, gradient = negative_log_posterior(eta, data)
     assert value == pytest.approx(by_hand + np.sum((off / module.WIDE) ** 2) / 2, abs=1e-6)
-    steps = approx_fprime(eta, lambda x: surprise(x, data)[0], 1e-6)
+    steps = approx_fprime(eta, lambda x: negative_log_posterior(x, data)[0], 1e-6)
     np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=1e-3)
 
 
@@ -57,7 +61,7 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
     eta = np.array([scale, scale, scale, scale, time, 0.0, 0.3])
     variance, slow = np.split(np.exp(layout.prior(eta)[0])[layout.kind == 1], [-2])
     np.testing.assert_allclose(slow, np.exp(0.3))
-    moves = increments(layout.moved[0])
+    moves = increments(layout.knots[1])
     covariance = moves * variance @ moves.T
     lag = np.arange(len(covariance) - 7)
     kernel = np.exp(scale - np.maximum.outer(lag, lag) / np.exp(time))
@@ -69,7 +73,8 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
 def test_running_sums_are_the_signal_by_each_column_of_increments(knots):
     signal, basis = np.random.default_rng(0).standard_normal(50), increments(np.array(knots))
     by_hand = np.stack([np.convolve(signal, column)[:50] for column in basis.T], axis=1)
-    np.testing.assert_allclose(module._lagged(signal, np.array(knots)), by_hand, atol=1e-12)
+    found = module.lagged(signal, np.array(knots))(np.arange(50))
+    np.testing.assert_allclose(found, by_hand.T, atol=1e-12)
 
 
 def test_contrasts_keep_independent_noise_and_take_what_repeats_into_one():
@@ -101,11 +106,11 @@ def test_regressors_impulse_and_frequency_response_are_those_of_one_model():
     layout, rng = fit.data.layout, np.random.default_rng(0)
     x = rng.standard_normal(len(fit.mean)) * ((layout.kind == 1) | (layout.kind == 2))
     model = replace(fit, mean=x)
-    ((X, _, line, _),) = records(groups, layout)
     y = sum(
         np.convolve(u, g)[:60] for u, g in zip(groups[0].u[0].T, model.impulse(60), strict=True)
     )
-    np.testing.assert_allclose(X @ x, module.without(line, y), atol=1e-9)
+    ((columns, _),) = records(groups, layout, iter([y[:, None]]))
+    np.testing.assert_allclose(columns[:, :-2] @ x, columns[:, -1], atol=1e-9)
     spectrum = np.exp(-1j * np.outer(omega, np.arange(3000))) @ model.impulse(3000).T
     np.testing.assert_allclose(spectrum, model.response(omega), atol=1e-9)
 
@@ -114,16 +119,16 @@ def test_where_starts_are_too_many_first_samples_are_left_out():
     for trials, kept in ((5, 60), (100, 45)):
         groups = [trials_of(trials)]
         layout = module._layout(groups, True, np.zeros(2, int))
-        assert [len(y) for _, y, *_ in records(groups, layout)] == [kept] * trials
+        assert [len(columns) for columns, _ in records(groups, layout)] == [kept] * trials
         assert np.any(layout.kind == 3) == (kept == 60)
 
 
 def test_a_delay_must_be_likelier_than_its_chance():
     groups, delays = [trials_of(1)], np.array([2, 0])
     late = module._fitted(groups, True, delays, None)
-    assert late.surprise - surprise(late.eta, late.data)[0] == pytest.approx(np.log(60))
+    assert late.cost - negative_log_posterior(late.eta, late.data)[0] == pytest.approx(np.log(60))
     at_once = module._fitted(groups, True, 0 * delays, None)
-    assert at_once.surprise == pytest.approx(surprise(at_once.eta, at_once.data)[0])
+    assert at_once.cost == pytest.approx(negative_log_posterior(at_once.eta, at_once.data)[0])
 
 
 def test_the_covariance_of_P_is_that_of_the_coefficients_by_their_slopes():
@@ -133,7 +138,7 @@ def test_the_covariance_of_P_is_that_of_the_coefficients_by_their_slopes():
 
     def parts(x):
         changed = replace(fit, mean=x)
-        A = 1 + fit._waves(omega)[0] @ fit.of(0, x)
+        A = 1 + fit.data.layout.waves(omega)[0] @ fit.of(0, x)
         both = np.column_stack([changed.response(omega), np.log(A)])
         return np.hstack([both.real, both.imag])  # (n, 2 (m + 1))
 
@@ -154,11 +159,12 @@ def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparamete
     fit = regression(groups, direct=True)
     best, S = module._polished(module._fitted(groups, True, np.zeros(2, int), None))
     data, expected = best.data, 0.0
+    b, s = data.products[0, :, -1][:-1], data.products[0, -1, -1]
     points = best.eta + module.HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])
     for eta in np.clip(points, -module.BOUND, module.BOUND):
-        precision = data.R[0] + np.diag(np.exp(-data.layout.prior(eta)[0]))
-        mean = np.linalg.solve(precision, data.b[0])
-        variance = (data.s[0] - mean @ data.b[0]) / data.count[0]
+        precision = data.products[0, :-1, :-1] + np.diag(np.exp(-data.layout.prior(eta)[0]))
+        mean = np.linalg.solve(precision, b)
+        variance = (s - mean @ b) / data.count[0]
         off = mean - fit.mean
         expected = expected + variance * np.linalg.inv(precision) + np.outer(off, off)
     expected /= len(points)
