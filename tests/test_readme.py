@@ -95,5 +95,5 @@ def test_what_it_says_first_is_what_the_ledger_counts():
     unchecked = (ROWS.verdict == UNCHECKED).sum()
     assert f"choices of ours: {vague}; cannot be checked: {unchecked}" in said[5]
     off = ROWS.deviation[kind == "coefficient"].replace("", "0").astype(float).abs().max()
-    assert f"differ by {off:g} at most, at up to 3.5e-6" in README
+    assert f"differ by {off:g} at most; the printed ones cost up to 3.5e-6" in README
     assert "higher by 3.5e-6" in " ".join(ROWS.note)
