@@ -137,7 +137,7 @@ REFUSED = {  # what the error says, and a call
     "order = 10 .* 5 frequencies": lambda: synthesise(P[:5], Q, OMEGA[:5], TS, order=10),
     "order = 40 must be .*, from 1 to 20": lambda: zero_phase_butterworth(40, 2.0, TS),
     "uncertainty = -0.1 must be a radius": lambda: synthesise(P, Q, OMEGA, uncertainty=-0.1),
-    "amplitude = ": lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2),
+    "amplitude has": lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2),
     "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(
         TANKS, 0.01, 1.0, [1, 1, 1], 1.2
     ),

@@ -125,6 +125,11 @@ def measured_response(
             f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
             "by read_table(log, time=..., inputs={...}, outputs={...})"
         )
+    if isinstance(log, np.ndarray):
+        raise ValueError(
+            f"log has shape {log.shape}, but an array does not say of what: pass a response, its "
+            "frequency last, as control.frd(log, omega, Ts)"
+        )
     if uncertainty is not None:
         raise ValueError(
             "uncertainty must be None where log is a record, from which the radius is estimated"

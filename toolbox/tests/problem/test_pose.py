@@ -22,7 +22,7 @@ LABELLED = pd.DataFrame(np.ones((9, 2)), columns=["a", "b"])
 FEW = control.frd(np.ones((2, 2, 3)), [0.1, 0.2, 0.3])
 
 
-def test_transfer_functions_are_models_if_they_have_one_channel():
+def test_transfer_functions_are_models():
     gains, poles = np.array([[0.1, 0.02], [0.01, 0.2]]), np.array([[0.9, 0.9], [0.8, 0.8]])
     z = np.exp(1j * OMEGA)[:, None, None]
     for m in (1, 2):
@@ -30,7 +30,7 @@ def test_transfer_functions_are_models_if_they_have_one_channel():
         P = control.tf(gains[:m, :m, None].tolist(), denominators, 1.0)
         posed = pose(P, Q, OMEGA, 1.0, band=BAND)
         np.testing.assert_allclose(posed.P, gains[:m, :m] / (z - poles[:m, :m]), rtol=1e-12)
-        assert (posed.proven) == (m == 1)
+        assert posed.proven
 
 
 def test_the_sampling_period_is_taken_from_what_knows_it():
@@ -60,10 +60,9 @@ def test_several_plants_may_be_known_in_several_ways():
     ("structure", "as_model", "pascal"), [("full", True, 2.0**17), ("diagonal", False, 1e5)]
 )
 def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_model, pascal):
-    """In kelvin and bar, or in kelvin and pascal: the same filter, and the same certificate.
+    """In kelvin and bar, or in kelvin and pascal: the same optimum, and the same certificate.
 
-    Where a power of two lies between the units nothing is rounded, and every digit is the same.
-    Otherwise the optimum is the same; filters next to it differ by more than their values do.
+    Filters next to it differ by more than their values do.
     """
     kind = {"structure": structure, "L_max": 3.0, "band": BAND, "order": 6}
     designs, weights = [], []
@@ -75,9 +74,6 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         task = pose(model, Q, OMEGA, 1.0, scale=unit, reference=reference).objective
         weights.append(task.weights)
     one, other = designs
-    if pascal == 2.0**17:
-        back = other.filter.coefficients * unit[:, None] / unit[:, None, None]
-        np.testing.assert_array_equal(back, one.filter.coefficients)
     for name in ("value", "lower_bound", "all_M", "all_L"):
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
