@@ -42,6 +42,9 @@ from ilctools.measurement.regression import Regression, Trials, contrasts, recor
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
 LATER = (1, 3, 9)  # samples by which inputs are later
+# Of the first coefficient of an impulse response to their sum: what plants do not have, and what
+# they do not have where u(t) explains EXACT times the power that is left.
+WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
@@ -154,7 +157,7 @@ def _later(u):
 def _at_once(fit, level):
     """Whether y answers an input at once, as by -1 / C."""
     (share, explained), n = _first(fit), fit.data.count.sum()
-    odd = (share < 0) | (share > 1.1) | (share > 0.5) & (explained > 1e6)  # counted
+    odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > EXACT)
     return np.any(odd & (fdtrc(1, n, n * explained) < level))
 
 

@@ -13,6 +13,7 @@ from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
+CLIPPED = 300  # rounds of the search for low peaks: three times as many lower them by 3 %
 FEWEST, MOST = 2, 10  # realisations: with more, the quantiles of the radius hardly fall
 
 
@@ -206,11 +207,11 @@ def _with_low_peaks(phases, harmonics, m):
     period = next_fast_len(8 * harmonics[-1])
     turns = np.exp(2j * np.pi * np.arange(m) / m)
     best, lowest = phases, np.full((*phases.shape[:-1], 1), np.inf)
-    for k in range(rounds := 300):  # three times as many lower peaks by 3 %
+    for k in range(CLIPPED):
         waves = np.real(turns[:, None] * _envelopes(phases, harmonics, period)[..., None, :])
         peak = np.abs(waves).max(axis=(-2, -1))[..., None]
         best, lowest = np.where(peak < lowest, phases, best), np.minimum(peak, lowest)
-        limit = (0.6 + 0.4 * k / rounds) * peak
+        limit = (0.6 + 0.4 * k / CLIPPED) * peak
         clipped = np.fft.fft(np.clip(waves[..., k % m, :], -limit, limit))[..., harmonics]
         phases = np.angle(clipped / turns[k % m])
     return best

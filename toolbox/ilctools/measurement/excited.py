@@ -36,7 +36,9 @@ from ilctools.response.measured import Measured, interpolated
 # Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
 # radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
 NEAR = 8
+DRIFT = 3.0  # standard deviations without drift, from which one is reported
 SIGNIFICANCE = 1e-3  # probability of a false report
+TOLERANCE = 1.2  # of a radius: half of the lines must predict more than all of them
 
 
 @dataclass(frozen=True, repr=False)
@@ -240,7 +242,7 @@ def _drift(y, W, excitation, measured):
     by_ramp = _spectra(ramp, excitation) @ np.linalg.inv(W)
     error = np.linalg.norm(by_ramp.mean(axis=(0, 1)), axis=(1, 2))
     worst = np.argmax(error / measured.noise)  # which a ramp, alike in all periods, does not move
-    if error[worst] <= 3 * measured.noise[worst]:  # standard deviations
+    if error[worst] <= DRIFT * measured.noise[worst]:
         return None
     largest = np.abs(slope).max(axis=0)
     hourly = largest.max() / (period * excitation.Ts) * 3600
@@ -276,7 +278,7 @@ def _sparse(measured):
         predicted, radius = half.on(measured.omega, 1 - SIGNIFICANCE)
         radius = maximum_filter1d(radius, 5)  # small by itself where P hardly bends
         error = np.linalg.norm(predicted - measured.response, 2, axis=(1, 2))
-        excess = error - 1.2 * (radius + own_radius)  # half of the lines predict less than all
+        excess = error - TOLERANCE * (radius + own_radius)
         k = excess.argmax()
         if excess[k] > worst:
             worst = excess[k]

@@ -22,6 +22,8 @@ from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.measurement.record import check_moved
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 
+ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
+
 
 def measured_response(
     log, of: str | None = None, uncertainty=None, *, gain=None, delay=None
@@ -168,7 +170,7 @@ def _signals(log, excitation):
     w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
     off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
     for name, share in zip(log.output.values, off, strict=True):
-        if share > 0.02:  # logs hold few digits
+        if share > ROUNDED:
             raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
     y = arguments.array("log.y", log.y.values, shaken.shape)
     check_moved([y], log.output.values, "log.y", "is it connected?")

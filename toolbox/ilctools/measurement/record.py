@@ -13,6 +13,7 @@ from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.measurement.regression import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
+FEWEST = 20  # samples of a trial
 AXES = "trial", "time", ...
 
 
@@ -104,8 +105,8 @@ def _moves(name, log, source):
     u, before, y = (signal.transpose(*AXES).values for signal in signals)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
-    if len(y[0]) < 20:
-        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have 20 or more")
+    if len(y[0]) < FEWEST:
+        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
     if "disturbance" in log:
         d = log.disturbance.transpose(*AXES).values.reshape(*u.shape[:2], -1)
         u, before = (np.concatenate([signal, d], axis=2) for signal in (u, before))

@@ -71,6 +71,7 @@ SHARE = 4  # of the longest record: lags of A and B
 SLOW = np.array([1.0, 3.0])  # longest records in time constants of slow parts
 # Knots are one lag apart up to CLOSE, then 1 + (lag - CLOSE) // STEP; of starts, coarser.
 CLOSE, STEP = 40, 8
+STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
 BLOCK = 2048  # samples of a record whose regressors are in memory at a time
 # Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, rho, and of
@@ -84,6 +85,7 @@ FIRST = [CENTRE + 6 * SIZES + drift * (np.arange(7) == 3) for drift in (0.0, 9.0
 BOUND = 50.0  # of all logarithms
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
 ROOM = 0.9, 0.98  # delays that are tried, relative to that lag of the signals and of their moves
+PHASES = 0.8  # power of the sizes that is taken out of a spectrum: of 1, only phases would count
 STEPS = 1e-3  # of eta, for the curvature
 HEAVY = 1.2  # tails of eta, relative to normal ones
 
@@ -147,7 +149,7 @@ def _layout(groups, direct, delays):
     # An input that rested elsewhere before is still on its way until the latest delay.
     start, late = _knots(0, reach, CLOSE // 6, STEP // 2), delays.max()
     start = np.unique(np.append(0, late + start))
-    starts = records if records * len(start) <= 300 else 0  # more take too long
+    starts = records if records * len(start) <= STARTS else 0
     blocks = [(0, 0, past)]  # kind, c, knots; of slow parts and drifts D = c
     for j in range(1, m + 1):
         blocks += [(j, 1, moves), (j, 6, 0 * poles)]
@@ -486,6 +488,5 @@ def _peaks(groups, differences):
         signals = np.diff(signals - signals.mean(axis=1, keepdims=True), differences, axis=1)
         spectra = np.fft.rfft(signals, 2 * longest, axis=1)
         products = products + np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
-    # of 1, only phases would count
-    phases = products / np.maximum(np.abs(products), 1e-300) ** 0.8
+    phases = products / np.maximum(np.abs(products), 1e-300) ** PHASES
     return np.argmax(np.abs(np.fft.irfft(phases, axis=0))[: longest // 2], axis=0)
