@@ -316,33 +316,36 @@ def _realised(plant, name):
     The delay of an entry is where H taps the register. As states of H, delays that several entries
     share would leave it to rounding which of them is minimal.
     """
-    outputs, inputs = plant.shape
-    entries, places = [], []
-    for i, j in np.ndindex(outputs, inputs):
-        num, den = plant.num[i][j], plant.den[i][j]
-        num = np.append(np.trim_zeros(num[:-1], "f"), num[-1])
-        delay = max(0, len(den) - max(len(num), len(np.trim_zeros(den, "b"))))
-        try:
-            entries.append(control.ss(control.tf(num, den[: len(den) - delay], plant.dt)))
-        except ValueError as error:
-            raise ValueError(
-                f"{name} has more zeros than poles, and would have to look ahead, or coefficients "
-                f"that are not finite ({error}): delay it"
-            ) from None
-        places.append((i, (j, delay)))
-    taps = sorted({tap for _, tap in places})
-    rows, columns = np.array([(i, taps.index(tap)) for i, tap in places]).T
-    H = np.eye(outputs)[:, rows] * control.append(*entries) * np.eye(len(taps))[columns]
+    m, p = plant.shape
+    parts = {place: _without_delay(name, plant, *place) for place in np.ndindex(m, p)}
+    taps = sorted({(j, delay) for (_, j), (delay, _) in parts.items()})
+    rows, columns = np.array([(i, taps.index((j, d))) for (i, j), (d, _) in parts.items()]).T
+    entries = control.append(*(entry for _, entry in parts.values()))
+    H = np.eye(m)[:, rows] * entries * np.eye(len(taps))[columns]
     with suppress(ValueError):  # no states, or none that can be left out
         H = minimal_realisation(H, H.input_labels)
-    R = [_register([d for k, d in taps if k == j], plant.dt) for j in range(inputs)]
+    R = [shift_register([d for k, d in taps if k == j], plant.dt) for j in range(p)]
     model = H * control.append(*R)
     model.update_names(inputs=plant.input_labels, outputs=plant.output_labels)
     return model
 
 
-def _register(delays, dt):
-    """A shift register with taps after some delays, in samples."""
+def _without_delay(name, plant, i, j):
+    """The delay of an entry of a transfer function, in samples, and a model of the rest."""
+    num, den = plant.num[i][j], plant.den[i][j]
+    num = np.append(np.trim_zeros(num[:-1], "f"), num[-1])
+    delay = max(0, len(den) - max(len(num), len(np.trim_zeros(den, "b"))))
+    try:
+        return delay, control.ss(control.tf(num, den[: len(den) - delay], plant.dt))
+    except ValueError as error:
+        raise ValueError(
+            f"{name} has more zeros than poles, and would have to look ahead, or coefficients that "
+            f"are not finite ({error}): delay it"
+        ) from None
+
+
+def shift_register(delays: Sequence[int], dt: float | bool) -> control.StateSpace:
+    """A shift register with one input, and an output after each of some delays, in samples."""
     taps, length = np.eye(1 + max(delays))[delays], max(delays)
     A, B = np.eye(length, k=-1), np.eye(length, 1)
     return control.ss(A, B, taps[:, 1:], taps[:, :1], dt)

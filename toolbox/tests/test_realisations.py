@@ -20,10 +20,9 @@ def test_a_transfer_function_and_its_realisation_have_one_response(entries):
     m = round(len(entries) ** 0.5)
     num, den = [[] for _ in range(m)], [[] for _ in range(m)]
     for k, (numerator, poles, delay) in enumerate(entries):
-        denominator = np.append(np.poly(poles), np.zeros(delay))
-        lacking = max(0, len(numerator) - len(denominator))
+        late = max(delay, len(numerator) - 1 - len(poles))
         num[k // m].append(numerator)
-        den[k // m].append(np.append(denominator, np.zeros(lacking)))
+        den[k // m].append(np.append(np.poly(poles), np.zeros(late)))
     P = control.tf(num, den, 1.0)
     model = sampled_plant(P)
     found, exact = (system(ANGLES, squeeze=False) for system in (model, P))

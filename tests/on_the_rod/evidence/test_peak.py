@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from plants import random_stable
 
 from ilctools import LearningFilter, zero_phase_butterworth
-from ilctools.evidence.peak import CLOSE, of_model, peak_of_L, peak_of_M, proven_peak
+from ilctools.evidence.peak import CLOSE, peak_of_L, peak_of_M, proven_peak
 from ilctools.models import frequency_response
 from ilctools.problem.problem import convergence_matrix
 from ilctools.response.phase import phase, phase_grid
@@ -21,13 +21,12 @@ from rodlib.paper import published
 
 def peak_gain(system, Q=None):
     """Of a system by itself."""
-    response, poles = of_model(system)
 
     def sigma(omega):
         gain = 1.0 if Q is None else Q.frequency_response(omega)
-        return gain * largest_singular_values(response(omega))
+        return gain * largest_singular_values(frequency_response(system, omega))
 
-    return proven_peak(sigma, poles if Q is None else np.append(poles, Q.poles), 1.0)
+    return proven_peak(sigma, np.append(system.poles(), [] if Q is None else Q.poles), 1.0)
 
 
 orders = st.integers(1, 5)

@@ -43,6 +43,7 @@ paper's M.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import control
 import numpy as np
@@ -50,7 +51,7 @@ import numpy as np
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LONG, LearningFilter, ZeroPhaseButterworth
-from ilctools.models import by_substitution, schur_form
+from ilctools.models import frequency_response, schur_form
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.response.phase import phase, phase_grid, subdivided
@@ -67,17 +68,6 @@ CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 DENSER = 10  # the grid between the samples, against theirs
 
 
-def of_model(system: control.StateSpace):
-    """C (z I - A)^-1 B + D as a function of omega, by a Schur form of A, and its eigenvalues."""
-    model = schur_form(system)
-
-    def response(omega):
-        z = np.exp(1j * omega * system.dt)
-        return in_parts(lambda z: by_substitution(*model, z), z, system.B.size)
-
-    return response, np.diag(model[0])
-
-
 def peak_of_L(L: LearningFilter) -> tuple[float, float]:
     """Peak over all frequencies of sigma_max(L), and where it is."""
 
@@ -89,15 +79,16 @@ def peak_of_L(L: LearningFilter) -> tuple[float, float]:
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
     """Peak over all frequencies of sigma_max(M), and where it is."""
-    response, poles = of_model(P)
 
     def sigma(omega):
+        of_P = in_parts(partial(frequency_response, P), omega, P.B.size)
         of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-        M = convergence_matrix(response(omega), Q.frequency_response(omega), of_L)
+        M = convergence_matrix(of_P, Q.frequency_response(omega), of_L)
         return largest_singular_values(M)
 
     # Q is not made a part of a system: the poles of a filter of high order with a low cut-off lie
     # so close together that a Schur form tears them apart.
+    poles = np.diag(schur_form(P)[0])
     return proven_peak(sigma, np.concatenate([poles, L.poles, Q.poles]), L.Ts)
 
 

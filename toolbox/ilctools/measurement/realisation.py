@@ -12,16 +12,19 @@ g(0) is.
 import control
 import numpy as np
 
+from ilctools.models import shift_register
 from ilctools.singular_values import largest_singular_values
 
 MOST = 60  # states beside the delays
+ROWS = 300  # of a Hankel matrix, in samples
+EARLY = 0.01  # of the largest of an impulse response: what is less, at its beginning, is a delay
 
 
 def model_within(
     radius: np.ndarray, P: np.ndarray, angles: np.ndarray, g: np.ndarray, stable: bool
 ) -> control.StateSpace | None:
     """A model within `radius` (n,) of P (n, p, m) at omega Ts; of impulse response (p, m, time)."""
-    loud = np.abs(g) > 0.01 * np.abs(g).max(axis=2, keepdims=True)  # what is less is a delay
+    loud = np.abs(g) > EARLY * np.abs(g).max(axis=2, keepdims=True)
     late = np.maximum(np.argmax(loud, axis=2).min(axis=0) - 1, 0)  # one is that of the states
     for delay in (late, 0 * late):
         ahead = np.stack([np.roll(g[:, j], -d, 1) for j, d in enumerate(delay)], axis=1)
@@ -39,7 +42,7 @@ def model_within(
 
 def _balanced(g):
     """A and C of the highest order."""
-    rows = min(300, (g.shape[2] - 2) // 2)  # of a Hankel matrix, in samples
+    rows = min(ROWS, (g.shape[2] - 2) // 2)
     most = min(MOST, rows * min(g.shape[:2]))
     with np.errstate(divide="ignore", invalid="ignore"):  # states that g does not need
         model, S = control.eigensys_realization(g, most, rows, rows)
@@ -67,6 +70,5 @@ def _delayed(A, B, C, D, delay):
     name = f"P of order {len(A)} behind {', '.join(map(str, delay))} samples"
     core = control.ss(A, B, C, D, True)
     if delay.any():
-        shifts = [control.ss(control.tf([1], np.eye(1, d + 1)[0], True)) for d in delay]
-        core = core * control.append(*shifts)
+        core = core * control.append(*(shift_register([d], True) for d in delay))
     return control.ss(core, name=name)
