@@ -62,7 +62,9 @@ def test_trials_are_those_of_the_law_and_the_loop_written_out(other, learning):
         expected = {"reference": r[k], "v": v, "y": y, "u": u, "delta": delta, "e": r[k] - y}
         for name, signal in expected.items():
             np.testing.assert_allclose(run[name][k], signal, atol=1e-9)
-        v = law.next(v, r[k] - y)
+        if learning:
+            v = 0.3 * v + 0.7 * law.Q.apply(v + law.L.apply(r[k] - y))  # (23), and it rests
+            v[55:] = 0
 
 
 def test_rms_is_the_papers_definition():

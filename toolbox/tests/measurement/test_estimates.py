@@ -43,11 +43,11 @@ def test_the_region_holds_and_a_model_is_in_it(name):
     np.testing.assert_array_equal(np.moveaxis(table.frdata, -1, 0), estimate.response)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4, 1e-2])
+@pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4, 1e-2])
 def test_the_radius_follows_the_noise_down_to_none(noise):
     estimate = measured_response(moved(LAG, 300, noise=noise))
     assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True) + 1e-9)
-    if noise > 1e-6:  # below, rounding counts as much, and is another one on another machine
+    if noise:  # else, and up to 1e-6, the radius is that of rounding, another one elsewhere
         assert np.median(estimate.radius()) < 5 * noise
         assert estimate.model().nstates in (1, 2)
     assert not measured_response(moved(LAG, 300, noise=noise), delay=1).model().D.any()
