@@ -145,19 +145,23 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
 
     On a dense grid and, near the level or above, at the vertices between; below only bounded.
     """
-    response, inside, above = problem.response, [], []
+    response, inside, above, grid = problem.response, [], [], np.empty(0)
+
+    def filters(omega):
+        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
+        return problem.lowpass.frequency_response(omega), of_L
+
     for k in unproven(problem):
-
-        def sigma_M(omega, k=k):
-            (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
-            of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-            return within_radius(P, Q, of_L, radius, level)
-
         omega = dense_grid(response, k, L)
-        sigma = sigma_M(omega)
+        if not np.array_equal(omega, grid):  # as that of all samples is
+            grid, QL = omega, filters(omega)
+        P, radius = response.anywhere(k, omega)
+        sigma = within_radius(P, *QL, radius, level)
         top = vertices(omega, sigma, NEAR * level)
         if len(top):
-            omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
+            P, radius = response.anywhere(k, top)
+            at_top = within_radius(P, *filters(top), radius, level)
+            omega, sigma = np.append(omega, top), np.append(sigma, at_top)
         known = omega <= response.omega[-1]
         for peaks, there in ((inside, known), (above, ~known)):
             if there.any():

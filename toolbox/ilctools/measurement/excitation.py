@@ -129,8 +129,8 @@ def multisine(
     loop : CurrentTrialLoop or ClosedLoop
         Its sampling period and number of channels count; the model in it does not.
     lowest, highest : float
-        Frequencies, rad/s. The lowest sets the period. Below it, P is known from the loop's
-        integral action only; above the highest, not at all.
+        Frequencies, rad/s. The lowest sets the period. Below it, P is known only of a loop whose
+        observer integrates, where P(0) = I; above the highest, not at all.
     amplitude : float or array_like, shape (m,)
         Largest |w| of each input, in the units of the outputs.
     hours : float
