@@ -24,7 +24,7 @@ from scipy.special import factorial, fdtrc
 
 from ilctools.evidence.convergence import convergence
 from ilctools.law.law import Law
-from ilctools.models import frequency_response
+from ilctools.response.door import response_of
 from ilctools.singular_values import largest_singular_values
 from ilctools.trials.learn import applied_v
 from ilctools.trials.recorded import runs, successions
@@ -147,11 +147,11 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 
 def known_plants(law: Law) -> list[Callable]:
     """P and its radius over omega, of each plant of the design, or else of the loop's model."""
-    if law.region is not None:
-        return [partial(law.region.anywhere, k) for k in range(len(law.region.models))]
-    model = getattr(law.loop, "P", None)
-    known = [] if model is None else [model]
-    return [lambda omega, P=P: (frequency_response(P, omega), np.zeros(len(omega))) for P in known]
+    model, region = getattr(law.loop, "P", None), law.region
+    if region is None and model is not None:
+        region = response_of(model, GRID / law.Ts)
+    count = 0 if region is None else len(region.models)
+    return [partial(region.anywhere, k) for k in range(count)]
 
 
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
