@@ -72,12 +72,12 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-    numbers, every = range(len(problem.plants)), np.arange(len(problem.omega))
-    nominal = np.array([largest_singular_values(problem.M(response, k)) for k in numbers])
-    sigma = nominal
-    if problem.radius is not None:
-        of_plants = (problem.affine(k, every, problem.radius) for k in numbers)
-        sigma = np.array([_least_bound(F + T @ response) for F, T in of_plants])
+
+    def of_plants(radius):
+        return np.array([within_radius(P, problem.Q, response, radius, 0) for P in problem.plants])
+
+    nominal = of_plants(0)
+    sigma = nominal if problem.radius is None else of_plants(problem.radius)
     ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
     pairs = tuple((plant, frequency) for frequency, plant in ties)
     return WorstCase(sigma.max(axis=0), nominal.max(axis=1), pairs)
