@@ -235,9 +235,6 @@ SAID = {  # what a warning says, and simulated trials that cannot work
         AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
         plant=control.ss(TURNED, outputs=["x", "y"]),
     ),
-    "^no output moves in the 60 samples of a trial": lambda: run_trials(
-        ClosedLoop(furnace(60)), LAW, MOVE, None, 2
-    ),
     f"^the reference starts {LATE[0]:.3g} in x from where trials do": lambda: run_trials(
         LOOP, LAW, LATE, None, 2
     ),

@@ -127,11 +127,10 @@ class Certificate:
         low, high = problem.objective.band or (0, 0)
         if low <= 0:
             return np.nan
-        omega, P, Q = problem.omega, problem.P, problem.Q
+        omega = problem.omega
         if problem.proven:  # trapezia between coarse frequencies are not enough
             omega = np.union1d(omega, np.geomspace(low, high, FINE))
-            P, _ = problem.response.anywhere(0, omega)
-            Q = problem.lowpass.frequency_response(omega)
+        (P, _), Q = problem.response.anywhere(0, omega), problem.lowpass.frequency_response(omega)
         M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
         return float(log_mean(largest_singular_values(M), omega, (low, high)))
 

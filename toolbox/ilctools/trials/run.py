@@ -215,11 +215,6 @@ def _warnings(result, law, exact, from_rest):
         u = law.loop.asked(result).values
         if beyond := commands_beyond(u, law.loop.commands, law.limits):
             yield beyond + CUT_OFF
-    if not result.y.any() and law.loop.asked(result).any():
-        yield (
-            f"no output moves in the {result.sizes['time']} samples of a trial: it is not longer "
-            "than the delay of the plant"
-        )
     if law.L is not None and from_rest:
         r = result.reference.values
         rest = Start.of(0 * r[0], r[0], law.loop)
