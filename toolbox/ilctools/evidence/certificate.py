@@ -278,7 +278,7 @@ class Certificate:
             self._optimum(): None if np.isnan(self.lower_bound) else self.lower_bound,
         }
         values = {text: getattr(fact, "sigma", fact) for text, fact in facts.items()}
-        lines = [f"{value:<12.8g}{text}" for text, value in values.items() if value is not None]
+        lines = [f"{value:<11.7g}{text}" for text, value in values.items() if value is not None]
         if problem.response.sampled:
             lines.append(f"unknown: below {first:.4g} rad/s, at resonances that no sample shows")
         return "\n".join([*lines, *self._mean(), *self.assumptions, *self._against()])
@@ -340,8 +340,8 @@ class Certificate:
         lower = len(self.grid.omega) > len(problem.omega)
         kept = ", of those whose bounds are kept lower at omega for what lies between and above"
         return (
-            f"lower bound of it, for any {problem.structure} filter of order {problem.order}{gain}"
-            f"{kept if lower else ''}"
+            f"lower bound of the objective, of any {problem.structure} filter of order "
+            f"{problem.order}{gain}{kept if lower else ''}"
         )
 
 

@@ -60,19 +60,19 @@ mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s
     tables, sigma = design.certificate, design.sigma_M.max()
     assert f"{design}".startswith(f"rate at most {design.rate:.4f} for each of 3 plants, at all")
     expected = f"""\
-0.99        M_max
-{tables.grid_M:<12.8g}sigma_max(M) for each of 3 plants, on the design grid: of plant 1 at \
+0.99       M_max
+{tables.grid_M:<11.7g}sigma_max(M) for each of 3 plants, on the design grid: of plant 1 at \
 0.01 rad/s
-{sigma:<12.8g}the same of the nominal plant
-{tables.all_M:<12.8g}sigma_max(M) for each of 3 plants, from 0.01 to 2 rad/s, on a dense grid, \
+{sigma:<11.7g}the same of the nominal plant
+{tables.all_M:<11.7g}sigma_max(M) for each of 3 plants, from 0.01 to 2 rad/s, on a dense grid, \
 estimated
-{tables.beyond.sigma:<12.8g}sigma_max(M) for each of 3 plants, above 2 rad/s at most, assumed
-5           L_max
-{tables.grid_L:<12.8g}sigma_max(L) on the design grid
-{tables.all_L:<12.8g}sigma_max(L) at all frequencies
-{tables.value:<12.8g}objective
-{tables.lower_bound:<12.8g}lower bound of it, for any full filter of order 4, of those whose \
-bounds are kept lower at omega for what lies between and above
+{tables.beyond.sigma:<11.7g}sigma_max(M) for each of 3 plants, above 2 rad/s at most, assumed
+5          L_max
+{tables.grid_L:<11.7g}sigma_max(L) on the design grid
+{tables.all_L:<11.7g}sigma_max(L) at all frequencies
+{tables.value:<11.7g}objective
+{tables.lower_bound:<11.7g}lower bound of the objective, of any full filter of order 4, of those \
+whose bounds are kept lower at omega for what lies between and above
 unknown: below 0.01 rad/s, at resonances that no sample shows
 mean of sigma_max(M) of the nominal plant over the band: {tables.mean_M:.4f}, from 0.01 to 0.1 rad/s
 assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.1714 at most, at any phase
