@@ -157,7 +157,8 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
         if len(crests):
             around = omega[crests - 1], omega[crests], omega[crests + 1]
             top = elementwise.find_minimum(lambda omega: -sigma_M(omega), around)
-            omega, sigma = np.append(omega, top.x), np.append(sigma, -top.f_x)
+            found = top.success  # not where rounding makes a crest of what is flat
+            omega, sigma = np.append(omega, top.x[found]), np.append(sigma, -top.f_x[found])
         known = omega <= response.omega[-1]
         for peaks, there in ((inside, known), (above, ~known)):
             if there.any():
