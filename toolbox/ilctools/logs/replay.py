@@ -54,6 +54,11 @@ class Replay:
         return self.trials.trial.values.tolist()
 
     @property
+    def sources(self) -> list[str]:
+        """Names of the disturbances that were recorded."""
+        return np.ravel(self.trials.coords.get("source", [])).tolist()
+
+    @property
     def complete(self) -> bool:
         """Whether all trials from 1 on are there."""
         return self.numbers == [*range(1, len(self.numbers) + 1)]
@@ -202,10 +207,9 @@ class Replay:
             reasons.append("prediction: the model without feedback is unstable, or there is no u")
         if not self.complete:
             reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
-        if self.loop is not None and "source" in self.trials.coords:
-            sources = self.trials.source.values.tolist()
-            if ignored := [name for name in sources if name not in self.loop.disturbances]:
-                reasons.append(f"disturbances {ignored}: the simulation ignores them")
+        simulated = self.sources if self.loop is None else self.loop.disturbances
+        if ignored := [name for name in self.sources if name not in simulated]:
+            reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons
 
     def __repr__(self):
