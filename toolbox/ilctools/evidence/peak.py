@@ -67,6 +67,7 @@ PARTS, PASSES = 16, 3
 MOST = 300_000  # frequencies in a pass: fewer passes, where a base of thousands of samples is flat
 CLOSE = 1e-6  # relative, by how much such a bound may be above the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
+CLIMBED = 1e-7  # relative, how near to a crest is near enough
 DENSER = 10  # the grid between the samples, against theirs
 
 
@@ -156,7 +157,8 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
         crests, _ = find_peaks(sigma, height=NEAR * level)
         if len(crests):
             around = omega[crests - 1], omega[crests], omega[crests + 1]
-            top = elementwise.find_minimum(lambda omega: -sigma_M(omega), around)
+            near = {"frtol": CLIMBED, "xrtol": CLIMBED}
+            top = elementwise.find_minimum(lambda at: -sigma_M(at), around, tolerances=near)
             found = top.success  # not where rounding makes a crest of what is flat
             omega, sigma = np.append(omega, top.x[found]), np.append(sigma, -top.f_x[found])
         known = omega <= response.omega[-1]

@@ -17,7 +17,7 @@ from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
 NEAR = 0.99  # share of a level from which on a worst case is worth its exact value
-TO_ROUNDING = {"xatol": 1e-11, "xrtol": 1e-11, "fatol": 0, "frtol": 1e-15}
+TO_ROUNDING = {"xatol": 0, "xrtol": 1e-11, "fatol": 0, "frtol": 1e-13}
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 
 
