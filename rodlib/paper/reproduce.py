@@ -93,7 +93,7 @@ def replay_log(log: str, root: Path = ROOT) -> None:
         report, table = build / REPORT.name, build / "next-trial.csv"
         print(replayed)
         if replayed.law is not None:
-            replayed.save_following(table)
+            replayed.following_table.to_csv(table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
         print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
         shutil.copy(REPORT, report)

@@ -12,7 +12,6 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.filters import LearningOperator, check_learning
-from ilctools.law.limits import WEIGHT
 from ilctools.problem.lowpass import lowpass_of
 from ilctools.problem.problem import convergence_matrix
 from ilctools.response.door import response_of
@@ -71,27 +70,6 @@ class Convergence:
                 f"omega, which goes from {omega[0]:.6g} to {omega[-1]:.6g} rad/s"
             )
         return np.apply_along_axis(log_mean, -1, self.sigma, omega, band)[()]
-
-    def within(self, weight: float = WEIGHT) -> float:
-        """The rate where commands have limits, in the metric of the projection onto them.
-
-        The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P_0^H P_0 + weight I: by that
-        factor the root of ||P_0 d||^2 + weight ||d||^2, with d the distance of v from its limit,
-        shrinks from trial to trial, at least. For small weights it tends to gamma. P is the worst
-        of the plants, P_0 the first, by whose model the law projects; a radius is left out of
-        account. It is at `omega` alone, which therefore must be dense: the peak of a filter of n
-        samples is some pi / (n Ts) wide. For trials without ends, and limits that are met as the
-        model says.
-        """
-        weight = arguments.positive("weight", weight)
-        P, Q, L = self.responses
-        identity = np.eye(P.shape[-1])
-        nominal = P if P.ndim == 3 else P[0]
-        effort = np.broadcast_to(np.sqrt(weight) * identity, nominal.shape)
-        S = np.concatenate([nominal, effort], axis=-2)  # S^H S = W
-        change = Q[:, None, None] * (identity - L @ P)
-        rates = np.linalg.norm(S @ change @ np.linalg.pinv(S), 2, axis=(-2, -1))
-        return float(rates.max())
 
     def __repr__(self):
         gamma, radius = np.max(self.gamma), np.max(self.spectral_radius)

@@ -5,11 +5,10 @@ Lemma 1 is about signals without end; here the two ends of the trial are include
 
 import numpy as np
 import scipy.sparse.linalg as sparse
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from ilctools import arguments
-from ilctools.filters import Filter, ZeroPhaseButterworth
+from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.signals import check_match
 
@@ -59,14 +58,9 @@ def trial_operators(
     check_match(P=P, L=L, Q=Q)
     samples = arguments.whole("samples", samples, 1)
 
-    P_N = _convolution(impulse_response(P, samples))
-    Q_N = _operator(
-        (samples, m),
-        lambda x: Q.apply(x.reshape(samples, -1)),
-        lambda x: Q.apply_transposed(x.reshape(samples, -1)),
-    )
-    L_N = _operator((samples, m), *(_last(f) for f in (L.apply, L.apply_transposed)))
-    return P_N, Q_N, L_N
+    h = np.moveaxis(impulse_response(P, samples), 0, -1)
+    from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # of P, which looks back
+    return tuple(_on_trial(f, samples, m) for f in (from_rest, Q, L))
 
 
 def trial_map(
@@ -156,36 +150,13 @@ def trial_norm(
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
-def _convolution(h):
-    """The lower triangular block Toeplitz matrix of an impulse response, (samples, m, m)."""
-    samples, m, _ = h.shape
-    length = next_fast_len(2 * samples, real=True)
-    spectrum = rfft(h, length, axis=0)
+def _on_trial(f, samples, m):
+    """A filter as a linear operator on raveled signals (samples, m)."""
 
-    def convolved(spectrum, x):
-        # thrice as fast as @
-        output = np.einsum("nij,njk->nik", spectrum, rfft(x, length, axis=0))
-        return irfft(output, length, axis=0)[:samples]
+    def raveled(apply):
+        return lambda X: apply(X.T.reshape(-1, samples, m)).reshape(X.T.shape).T
 
-    return _operator(
-        (samples, m),
-        lambda x: convolved(spectrum, x),
-        lambda x: convolved(spectrum.conj().swapaxes(1, 2), x),
-    )
-
-
-def _operator(shape, apply, adjoint):
-    """A linear operator on raveled signals, from what it does to signals (samples, m, any)."""
-
-    def raveled(function):
-        return lambda X: function(X.reshape(*shape, -1)).reshape(X.shape)
-
-    size, to, back = np.prod(shape), raveled(apply), raveled(adjoint)
+    size, to, back = samples * m, raveled(f.apply), raveled(f.apply_transposed)
     return sparse.LinearOperator(
         (size, size), matvec=to, rmatvec=back, matmat=to, rmatmat=back, dtype=float
     )
-
-
-def _last(apply):
-    """What acts on signals (any, samples, m), for those of shape (samples, m, any)."""
-    return lambda x: np.moveaxis(apply(np.moveaxis(x, -1, 0)), 0, -1)

@@ -7,10 +7,10 @@ The plants P of a problem, in whose place stands, at each frequency omega, one o
 a gain g, a delay of d more samples, a plant slower by a in all, anything within a radius r: up to
 which g, d, a, r is sigma_max(Q (I - P L)) below one at all frequencies, for all plants?
 They are read off a grid that resolves the poles of P and L, of tables ten times as dense as it, but
-no denser than the curves of P and L ask for, by steps outwards to the first that fails, and
-bisection. In g and r sigma_max is convex, so that there is one limit; and one below g = 1 only if Q
-is above one somewhere. Phase margins of ``control.stability_margins`` are those of a feedback loop,
-which v = Q (v + L e) is from trial to trial only.
+no denser than the curves of P and L ask for, by steps outwards to the first that fails, and by
+Brent's method. In g and r sigma_max is convex, so that there is one limit; and one below g = 1 only
+if Q is above one somewhere. Phase margins of ``control.stability_margins`` are those of a feedback
+loop, which v = Q (v + L e) is from trial to trial only.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from functools import partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.optimize import brentq
 
 from ilctools.evidence.peak import DENSER, dense_grid
 from ilctools.evidence.robustness import within_radius
@@ -27,7 +28,6 @@ GAINS = np.geomspace(1, 10, 13)  # steps outwards; the last is where the search 
 TIMES = np.geomspace(1, 8, 25)
 RADII = np.append(0, np.geomspace(1e-3, 10, 13))  # of sigma_max(P) at the cut-off
 TURN = np.linspace(0, 2 * np.pi, 33)  # of the phase at the cut-off, by a delay
-HALVINGS = 14  # of a step: to 1e-5 of what it is
 EVEN = 3e-3  # step along the curves, of P in units of sigma_max(P) at the cut-off
 ONE = 1 + 1e-9  # what rounding makes of one
 
@@ -102,15 +102,12 @@ def _curves(problem, L):
 def _limit(sigma, change, steps):
     """How far from the first of some steps sigma stays below one; the last if there, too."""
 
-    def diverges(step):
-        return sigma(**{change: step}) >= ONE
+    def excess(step):
+        return sigma(**{change: step}) - ONE
 
-    inside = outside = steps[0]
+    inside = steps[0]
     for outside in steps:
-        if diverges(outside):
+        if excess(outside) >= 0:
             break
         inside = outside
-    for _ in range(HALVINGS if outside != inside else 0):
-        middle = (inside + outside) / 2
-        inside, outside = (inside, middle) if diverges(middle) else (middle, outside)
-    return float(inside)
+    return float(inside if inside == outside else brentq(excess, inside, outside))

@@ -22,6 +22,7 @@ that are simulated with noise alone: :func:`ilctools.run_trials`, with a referen
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -115,20 +116,16 @@ def trial_noise(
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
     m = len(loop.outputs)
-    sensors = _density("sensor_psd", sensor_psd, len(omega), m)
+    if disturbance_psd is not None and not loop.disturbances:
+        raise ValueError("disturbance_psd must be None: the loop has no disturbance")
+    psd = 0.0 if disturbance_psd is None else disturbance_psd
     response = frequency_response(whole_loop(loop, plant)[:m, :], omega)
     P, G, T = np.split(response, [m, -m], axis=2)
-    true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
-    if disturbance_psd is not None:
-        sources = len(loop.disturbances)
-        if not sources:
-            raise ValueError("disturbance_psd must be None: the loop has no disturbance")
-        flows = _density("disturbance_psd", disturbance_psd, len(omega), sources)
-        added = _through(G, flows)
-        true, measured = true + added, measured + added
-    learned = Spectrum(omega, loop.Ts, np.zeros_like(true))
-    measured, true = (replace(learned, density=density) for density in (measured, true))
-    return TrialNoise(P, measured, true, learned)
+    n = _density("sensor_psd", sensor_psd, len(omega), m)
+    d = _density("disturbance_psd", psd, len(omega), len(loop.disturbances))
+    by_d, spectrum = _through(G, d), partial(Spectrum, omega, loop.Ts)
+    true, measured = _through(T, n) + by_d, _through(np.eye(m) + T, n) + by_d
+    return TrialNoise(P, spectrum(measured), spectrum(true), spectrum(0 * by_d))
 
 
 def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:

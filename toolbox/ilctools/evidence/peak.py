@@ -1,9 +1,9 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
-From samples, and within a radius, it is that of a dense grid and of the parabolas through its
-crests. For a model it has a proof: what can happen between two frequencies is bounded by poles. Let
-a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth filter H if there is
-Q = |H|^2, which is real; and let
+From samples, and within a radius, it is that of a dense grid and of the tops of its crests, by the
+parabolas through three points. For a model it has a proof: what can happen between two frequencies
+is bounded by poles. Let a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth
+filter H if there is Q = |H|^2, which is real; and let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
@@ -47,6 +47,7 @@ from functools import partial
 
 import control
 import numpy as np
+from scipy.signal import find_peaks
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
@@ -133,55 +134,36 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
     return [Peak(*peak_of_M(P, L, problem.lowpass), k) for k, P in models if P is not None]
 
 
-def unproven(problem: Problem) -> list[int]:
-    """Plants without a proof between the frequencies: samples, and all if there is a radius."""
-    of_all = problem.radius is not None or isinstance(problem.lowpass, SampledQ)
-    models = enumerate(problem.response.models)
-    return [k for k, model in models if of_all or model is None]
-
-
 def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None]:
-    """Of these, within the radius: between the frequencies, and above the last sample of P.
+    """Of samples, and of all plants within a radius: between the frequencies, and above P's last.
 
-    On a dense grid and, near the level or above, at the vertices between; below only bounded.
+    On a dense grid and, near the level or above, at the tops of its crests; below only bounded.
     """
-    response, inside, above, grid = problem.response, [], [], np.empty(0)
+    response, inside, above = problem.response, [], []
+    of_models = problem.radius is not None or isinstance(problem.lowpass, SampledQ)
+    for k, model in enumerate(response.models):
+        if model is not None and not of_models:
+            continue  # it has a proof
 
-    def filters(omega):
-        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-        return problem.lowpass.frequency_response(omega), of_L
+        def sigma_M(omega, k=k):
+            (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
+            of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
+            return within_radius(P, Q, of_L, radius, level)
 
-    for k in unproven(problem):
         omega = dense_grid(response, k, L)
-        if not np.array_equal(omega, grid):  # as that of all samples is
-            grid, QL = omega, filters(omega)
-        P, radius = response.anywhere(k, omega)
-        sigma = within_radius(P, *QL, radius, level)
-        top = vertices(omega, sigma, NEAR * level)
-        if len(top):
-            P, radius = response.anywhere(k, top)
-            at_top = within_radius(P, *filters(top), radius, level)
-            omega, sigma = np.append(omega, top), np.append(sigma, at_top)
+        sigma = sigma_M(omega)
+        crests, _ = find_peaks(sigma, height=NEAR * level, plateau_size=(1, 1))
+        if len(crests):
+            (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, sigma))
+            left, right = (y - x) / (b - a), (z - y) / (c - b)
+            top = (a + b) / 2 - left * (c - a) / (right - left) / 2  # of the parabola through them
+            omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
         known = omega <= response.omega[-1]
         for peaks, there in ((inside, known), (above, ~known)):
             if there.any():
                 at = np.where(there, sigma, -1).argmax()
                 peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
     return inside, highest(above)
-
-
-def vertices(omega, sigma, limit) -> np.ndarray:
-    """Where the parabola through three samples, of which the middle one is highest, passes it."""
-    a, b, c = omega[:-2], omega[1:-1], omega[2:]
-    x, y, z = sigma[:-2], sigma[1:-1], sigma[2:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left, right = (y - x) / (b - a), (z - y) / (c - b)
-        curvature = (left - right) / (c - a)
-        slope = (left * (c - b) + right * (b - a)) / (c - a)
-        top = y + slope**2 / (4 * curvature)
-        place = b + slope / (2 * curvature)
-    crest = (y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)
-    return place[crest]
 
 
 def dense_grid(response: Response, number, L, times=DENSER) -> np.ndarray:

@@ -17,6 +17,7 @@ from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
 NEAR = 0.99  # share of a level from which on a worst case is worth its exact value
+TO_ROUNDING = {"xatol": 0, "xrtol": 1e-11, "fatol": 0, "frtol": 1e-13}
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 
 
@@ -72,12 +73,12 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-    numbers, every = range(len(problem.plants)), np.arange(len(problem.omega))
-    nominal = np.array([largest_singular_values(problem.M(response, k)) for k in numbers])
-    sigma = nominal
-    if problem.radius is not None:
-        of_plants = (problem.affine(k, every, problem.radius) for k in numbers)
-        sigma = np.array([_least_bound(F + T @ response) for F, T in of_plants])
+
+    def of_plants(radius):
+        return np.array([within_radius(P, problem.Q, response, radius, 0) for P in problem.plants])
+
+    nominal = of_plants(0)
+    sigma = nominal if problem.radius is None else of_plants(problem.radius)
     ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
     pairs = tuple((plant, frequency) for frequency, plant in ties)
     return WorstCase(sigma.max(axis=0), nominal.max(axis=1), pairs)
@@ -93,27 +94,19 @@ def within_radius(P, Q, L, radius, level):
     sigma = largest_singular_values(M) + wider
     near = (sigma >= NEAR * level) & (wider > 0)
     if M.shape[1] > 1 and near.any():
-        sigma[near] = _least_bound(np.concatenate([M, rho_L], axis=1)[near])
+        least = _least_bound(np.concatenate([M, rho_L], axis=1)[near])
+        sigma[near] = np.fmin(sigma[near], least)
     return sigma
 
 
 def _least_bound(G):
-    """The least over alpha of sigma_max of [M; rho L], weighted, shape (n,)."""
+    """The least over alpha of sigma_max of [M; rho L], weighted, (n,); NaN if M is zero."""
 
-    def weighted(t, i):
-        """[M / sqrt(alpha); rho L / sqrt(1 - alpha)] for t = log((1 - alpha) / alpha)."""
+    def bound(t, i):
+        """Of [M / sqrt(alpha); rho L / sqrt(1 - alpha)] for t = log((1 - alpha) / alpha)."""
         root = np.sqrt(expit([-t, t])).T.repeat(G.shape[2], axis=1)
-        return G[i] / root[:, :, None]
+        return largest_singular_values(G[i] / root[:, :, None])
 
-    def imbalance(t, i):
-        x = np.linalg.svd(weighted(t, i))[2][:, 0].conj()  # the most amplified
-        images = (G[i] @ x[..., None]).reshape(len(x), 2, -1)
-        Mx, rho_Lx = np.linalg.norm(images, axis=2).T
-        balanced = np.nan_to_num(np.log(rho_Lx) - np.log(Mx))
-        return t - np.clip(balanced, -FARTHEST, FARTHEST)
-
-    ends, every = np.full(len(G), FARTHEST + 1), np.arange(len(G))
-    # log(0), and a bracket at rounding level, which is halved
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = elementwise.find_root(imbalance, (-ends, ends), args=(every,)).x
-    return largest_singular_values(weighted(t, every))
+    end, numbers = np.full(len(G), FARTHEST), np.arange(len(G))
+    bracket = -end, 0 * end, end
+    return elementwise.find_minimum(bound, bracket, args=(numbers,), tolerances=TO_ROUNDING).f_x

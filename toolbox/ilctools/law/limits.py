@@ -1,8 +1,10 @@
 """Limits of the commands: what actuators make of them, and the law (23) projected onto them.
 
 Section III has no limits. A projection onto a convex set brings no two signals further apart, in
-its own norm, so that a rate in that norm holds within the limits, too: see `within` of
-evidence/convergence. The program has the stages of the loop, one for each sample; PIQP solves it.
+its own norm, so that a rate in that norm holds within the limits, too. Of trials without ends it is
+the largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), W = P^H P + weight I: by that factor the root
+of ||P d||^2 + weight ||d||^2 shrinks at least, d the distance of v from its limit. The program has
+the stages of the loop, one for each sample; PIQP solves it.
 """
 
 from collections.abc import Sequence

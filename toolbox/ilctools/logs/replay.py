@@ -14,7 +14,6 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.files import keep_others, write_whole
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.law.repetitive import repeated
@@ -42,6 +41,7 @@ class Replay:
     trials: xr.Dataset  # in the order of their numbers
     loop: Loop | None
     law: Law | None
+    resets: bool  # whether every trial starts from the same state
 
     @property
     def outputs(self) -> list[str]:
@@ -62,11 +62,6 @@ class Replay:
     def complete(self) -> bool:
         """Whether all trials from 1 on are there."""
         return self.numbers == [*range(1, len(self.numbers) + 1)]
-
-    @property
-    def resets(self) -> bool:
-        """Whether every trial starts from the same state."""
-        return RESET not in self.trials.attrs
 
     @property
     def model(self) -> control.StateSpace | None:
@@ -158,6 +153,16 @@ class Replay:
             return None
         return next_v(self.law, self.trials.v.values[-1], self.resets, parts_of(self.trials))
 
+    @property
+    def following_table(self) -> pd.DataFrame | None:
+        """The same as a table, the time in s and a column for each output, for ``.to_csv``."""
+        if self.law is None:
+            return None
+        time = self.trials.time.to_index()[: len(self.following)].rename("time (s)")
+        units = self.trials.output_unit.values
+        titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
+        return pd.DataFrame(self.following, time, [*titles])
+
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against the convergence of the trials."""
@@ -178,7 +183,7 @@ class Replay:
     def agreement(self) -> str:
         """Whether the recorded v is that of the law, in words."""
         if self.law is None:
-            return "the log does not name its law"
+            return "the log does not name its law, by Q and L, and with limits the loop"
         departure, v = self.departure, self.trials.v.values
         different = departure > DIGITS * np.abs(v).max(axis=(0, 1))
         if different.to_numpy().any():
@@ -194,11 +199,6 @@ class Replay:
     def omissions(self) -> list[str]:
         """What is left out, and why."""
         reasons = []
-        if self.law is None:
-            reasons.append(
-                "law check, next trial and simulation: the log does not name its law; its metadata "
-                "need Q and L, and with limits the loop"
-            )
         if self.model is None:
             reasons.append(
                 "simulation and prediction: the log does not name its loop, or that has no P"
@@ -231,21 +231,6 @@ class Replay:
             ]
         lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
-
-    def save_following(self, path) -> None:
-        """Write the next trial's v as a table, the time in s and a column for each output.
-
-        Only such a table is replaced.
-        """
-        path = arguments.path("path", path)
-        if self.law is None:
-            raise ValueError("the log does not name its law: there is no next trial")
-        units = self.trials.output_unit.values
-        titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
-        time = pd.Index(self.trials.time.values[: len(self.following)], name="time (s)")
-        text = pd.DataFrame(self.following, time, [*titles]).to_csv()
-        keep_others(path, text.partition("\n")[0])
-        write_whole(path, text)
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
@@ -309,7 +294,7 @@ def replay(trials: xr.Dataset) -> Replay:
     commands_known = isinstance(loop, ClosedLoop) or (loop is not None and "u" in trials)
     if law is not None and law.limits and not commands_known:
         law = None  # whose projection cannot be computed
-    result = Replay(trials, loop, law)
+    result = Replay(trials, loop, law, resets=RESET not in trials.attrs)
     for text in result.warnings:
         warnings.warn(text, stacklevel=2)
     return result

@@ -189,7 +189,7 @@ class ControlledRig:
 
         Returns what there is to be warned of.
         """
-        flows, length, still = np.zeros(len(self.disturbed)), start.samples, 0
+        flows, length, still = np.zeros(len(self.disturbed)), self.size[1], 0
         longest = round(LONGEST * length) if samples is None else samples
         for p in range(longest):
             self.place = f"pause before trial {trial}, sample {p + 1}"

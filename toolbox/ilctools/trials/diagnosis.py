@@ -22,10 +22,9 @@ import pandas as pd
 import xarray as xr
 from scipy.special import factorial, fdtrc
 
-from ilctools.evidence.convergence import convergence
+from ilctools.evidence.robustness import within_radius
 from ilctools.law.law import Law
-from ilctools.models import frequency_response
-from ilctools.singular_values import largest_singular_values
+from ilctools.response.door import response_of
 from ilctools.trials.learn import applied_v
 from ilctools.trials.recorded import runs, successions
 from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
@@ -39,7 +38,6 @@ AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
 ROUNDING = 1e-9  # relative to the largest signal
 TINY = np.finfo(float).tiny  # instead of a zero that divides
-TESTED = ("reference", "e", "effect", "spread", "forgotten", "learned")
 AXES = ("trial", "time", "channel")
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
@@ -86,7 +84,6 @@ def _first_finding(test, trials, first):
     """What a test first finds of trials in succession, in the outputs of one unit."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
     begins = [(k, since) for k, since in enumerate(successions(trials)) if first - 1 <= k > since]
-    trials = trials[[name for name in TESTED if name in trials]]
     for channels in groups:
         alike = trials.isel(channel=channels)
         alike = alike.assign(rms=rms_of(alike.e))
@@ -147,11 +144,11 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 
 def known_plants(law: Law) -> list[Callable]:
     """P and its radius over omega, of each plant of the design, or else of the loop's model."""
-    if law.region is not None:
-        return [partial(law.region.anywhere, k) for k in range(len(law.region.models))]
-    model = getattr(law.loop, "P", None)
-    known = [] if model is None else [model]
-    return [lambda omega, P=P: (frequency_response(P, omega), np.zeros(len(omega))) for P in known]
+    model, region = getattr(law.loop, "P", None), law.region
+    if region is None and model is not None:
+        region = response_of(model, GRID / law.Ts)
+    count = 0 if region is None else len(region.models)
+    return [partial(region.anywhere, k) for k in range(count)]
 
 
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
@@ -170,11 +167,11 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
-    """sigma_max(M) on GRID, at most where P has a radius."""
-    response, radius = P(GRID / law.Ts)
-    rate = convergence(response, law.Q, law.L, GRID / law.Ts)
-    _, Q, L = rate.responses
-    return rate.sigma + np.abs(Q) * radius * largest_singular_values(L)
+    """sigma_max(M) on GRID, the largest within the radius of P."""
+    omega = GRID / law.Ts
+    response, radius = P(omega)
+    Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)
+    return within_radius(response, Q, L, radius, 0)
 
 
 def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -> pd.DataFrame:

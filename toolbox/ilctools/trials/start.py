@@ -19,7 +19,6 @@ class Start:
 
     level: np.ndarray  # of the outputs
     tolerance: np.ndarray
-    samples: int  # of a trial
     labels: Sequence[str]  # of the outputs, with their units
 
     @classmethod
@@ -28,7 +27,7 @@ class Start:
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
         tolerance = NEAR * largest_by_unit(reference, loop) + noise
         labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
-        return cls(y[0], tolerance, len(y), labels)
+        return cls(y[0], tolerance, labels)
 
     def near(self, y, held) -> bool:
         """Whether outputs, shape (output,), are there, or where they are held instead."""

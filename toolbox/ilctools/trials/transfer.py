@@ -25,7 +25,7 @@ kernels, with one trial: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -34,7 +34,6 @@ from scipy.signal import oaconvolve
 
 from ilctools import arguments
 from ilctools.signals import Signals, check_match, period_of
-from ilctools.trials.rms import noise_std
 
 GROWTH = 1.5  # from one lag of F to the next: fewer taps, a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
@@ -47,8 +46,6 @@ TINY = np.finfo(float).tiny  # instead of a zero that divides
 ROUNDING = 1e-14  # of the power, below which residuals are rounding
 PREDICTED = 0.9  # share of v + e with less of which a warning comes
 UNCERTAIN = 0.2  # share of v that may be uncertain without one
-SAME, OTHER = 1e-3, 0.02  # of w, by which it may differ; of y, by which it then may not,
-NOISE = 3.0  # and times white noise
 AXES = ("trial", "time", "channel")
 
 
@@ -93,8 +90,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     Warns
     -----
     UserWarning
-        If F and c predict little of the trials; if the trials leave v uncertain, as one alone does;
-        if y differs where w = r + v was the same: of another plant.
+        If F and c predict little of the trials; if the trials leave v uncertain, as one alone does.
 
     See Also
     --------
@@ -128,9 +124,9 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     v, y, references, outputs = _signals(trials)
     reference = arguments.in_columns("reference", reference, ("time", y.shape[2]), outputs)
     result = _fitted(v, y, references, reference)
-    texts = [text for i, name in enumerate(outputs) for text in _warnings(result, i, name)]
-    for text in [*texts, *_contradiction(references + v, y)]:
-        warnings.warn(text, stacklevel=2)
+    for i, name in enumerate(outputs):
+        for text in _warnings(result, i, name):
+            warnings.warn(text, stacklevel=2)
     return result
 
 
@@ -153,21 +149,6 @@ def _signals(trials):
         return [arguments.in_columns(f"trials.{name}", x[name], shape, outputs) for x in tasks]
 
     return *(np.concatenate(of_all(name)) for name in signals), outputs
-
-
-def _contradiction(w, y):
-    """What to say if two trials with the same w = r + v have another y, by more than noise."""
-    norm = np.linalg.norm
-    noise = NOISE * norm(noise_std(y[0])) * np.sqrt(len(y[0]))
-    for k, j in combinations(range(len(y)), 2):
-        differs = norm(y[k] - y[j])
-        if norm(w[k] - w[j]) <= SAME * norm(w[k]) and differs > OTHER * norm(y[k]) + noise:
-            return [
-                f"trials {k + 1} and {j + 1} of all have the same w = r + v, but y differs by "
-                f"{differs / norm(y[k]):.1%}: leave out those of another plant or under another "
-                "disturbance, by isel"
-            ]
-    return []
 
 
 def _fitted(v, y, references, reference):

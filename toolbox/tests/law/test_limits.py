@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from plants import LOOPS, PUMPS, altered, lifted
-from scipy.linalg import eigh
 from scipy.optimize import lsq_linear
 
 from ilctools import (
@@ -18,7 +17,6 @@ from ilctools import (
     Law,
     LearningFilter,
     NormOptimal,
-    convergence,
     rate,
     run_trials,
     synthesise,
@@ -173,25 +171,6 @@ def test_no_two_signals_get_more_distant(seed, size):
         return np.sum((P @ off.ravel()) ** 2) + WEIGHT * np.sum(off**2)
 
     assert distance(*nearest) <= distance(*Q.apply(pair)) * (1 + 1e-4) + 1e-6
-
-
-def test_the_rate_in_the_metric_is_a_generalised_eigenvalue_of_the_worst_plant():
-    """The first plant has the metric."""
-    loop, L = LOOP, TANKS[0].L
-    omega, one, gains = np.geomspace(1e-3, 1, 40) * np.pi / loop.Ts, np.eye(3), (1.0, 0.5, 1.4)
-    P, q = loop.frequency_response(omega), Q.frequency_response(omega)[:, None, None]
-    W = P.conj().swapaxes(1, 2) @ P + WEIGHT * one
-    rates = []
-    for gain in gains:
-        T = q * (one - gain * L.frequency_response(omega) @ P)
-        TWT = T.conj().swapaxes(1, 2) @ W @ T
-        values = [eigh(*pair, eigvals_only=True)[-1] for pair in zip(TWT, W, strict=True)]
-        rates.append(np.sqrt(max(values)))
-    plants = [gain * P for gain in gains]
-    assert convergence(plants, Q, L, omega).within() == pytest.approx(max(rates), rel=1e-9)
-    result = convergence(P, Q, L, omega)
-    assert result.within() == pytest.approx(rates[0], rel=1e-9)
-    assert result.within(1e-10) == pytest.approx(result.gamma, rel=1e-5)
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1():

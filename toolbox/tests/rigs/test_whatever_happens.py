@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
-import control
 import numpy as np
 import pytest
 
@@ -270,12 +269,4 @@ def test_raw_data_are_not_written_over(tmp_path):
     empty.touch()
     for path in (log, log, empty):
         save_log(table, path)
-    model = control.ss(0.8, 0.2, 1, 0, 0.01, outputs=["x"])
-    run = record(Axis(), ClosedLoop(model), LAW, REFERENCE, trials=2)
-    replayed = ilctools.replay(run)
-    for path in (raw, log):
-        with pytest.raises(ValueError, match="is a file of another kind"):
-            replayed.save_following(path)
-    for _ in range(2):
-        replayed.save_following(tmp_path / "next.csv")
     assert raw.read_text().startswith("t,u,y") and load_log(log).identical(load_log(empty))
