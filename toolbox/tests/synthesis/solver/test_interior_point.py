@@ -15,7 +15,7 @@ from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
 from ilctools.synthesis.formulate import formulate
-from ilctools.synthesis.solver import interior_point, newton
+from ilctools.synthesis.solver import interior_point
 from ilctools.synthesis.statement import statement
 
 
@@ -49,18 +49,6 @@ def test_every_filter_is_certified_or_refused_with_a_reason(
     assert certificate.grid_L <= L_max * (1 + 1e-9)
     scaled = synthesise(P / gain, Q, omega, 1.0, L_max=10.0, **arguments)
     assert scaled.value == pytest.approx(design.value, rel=1e-7, abs=1e-9)
-
-
-@pytest.mark.filterwarnings("ignore:the filter leaves")
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, structure):
-    grid = np.append(omega[:880:4], omega[880:])  # nowhere coarse, even for the longest
-    choices = paper_choices(structure=structure, M_max=0.99995)
-    shortest, longest = (certified(pose(loop, Q, grid, **choices | {"order": n})) for n in (1, 40))
-    # a longer filter can do all that a shorter one can
-    assert longest.value <= shortest.value * (1 + 1e-8)
-    for design in (shortest, longest):
-        assert design.certificate.gap < 1e-7 and design.certificate.grid_M < 1
 
 
 def test_nearly_infeasible_problems_are_solved(loop, Q, omega):
@@ -166,33 +154,6 @@ def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(kin
         np.testing.assert_allclose(bound.of_d @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
     np.testing.assert_allclose(of_t[:-2] - q.eta, program.cost, atol=1e-9)
     assert q.objective - q.dual_value == pytest.approx(q.complementarity, abs=1e-9 * total)
-
-
-@pytest.mark.parametrize(("part", "ends"), [(1 / 16, True), (1e-13, False)])
-def test_an_inaccurate_factor_costs_no_accuracy_or_ends_the_method(monkeypatch, part, ends):
-    """With two eigenvalues a sixteenth of what they are plain refinement would diverge."""
-    exact = newton.factorised
-
-    def spoiled(H):
-        w, X = np.linalg.eigh(H)
-        w[-2:] *= part
-        return exact((X * w) @ X.T)
-
-    P, Q, omega = random_response(2, 2)
-    problem = pose(P, Q, omega, 1.0, order=4, L_max=20.0, band=(0.01, 0.3), M_max=0.97)
-    program = formulate(problem).program
-    p = interior_point.begin(program, np.full((len(program.rows), 4), 0.1))
-    tolerance = 1e-10 * p.complementarity / np.linalg.norm(p.x)
-    steps, predictor = [], None
-    for factorised in (exact, spoiled):
-        monkeypatch.setattr(newton, "factorised", factorised)
-        system = interior_point.Newton(p)
-        predictor = predictor or system.direction(0.0)
-        steps.append(system.direction(0.1, predictor, tolerance))
-    assert (steps[1] is not None) is ends
-    if ends:
-        assert np.linalg.norm(p.moved(steps[1], 0, 1).stationarity) <= tolerance
-        np.testing.assert_allclose(steps[1].x, steps[0].x, rtol=1e-6)
 
 
 def test_a_failure_is_not_called_infeasible(monkeypatch):
