@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from ilctools.measurement import consistency as module
 from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
-from ilctools.measurement.regression import Trials, increments, records, regression
+from ilctools.measurement.regression import Trials, records, regression
 
 
 def trials(u, y):
@@ -55,8 +55,7 @@ def test_two_levels_are_not_curved(held):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.choice([-1.0, 1.0], 300 // held), held)[None]
-        y = lfilter([0, 0.06], np.poly([0.6, 0.85]), u) + 0.03 * rng.standard_normal(u.shape)
-        assert not said(trials(u, y), False)
+        assert not said(trials(u, lagged(u, rng)), False)
 
 
 def test_a_dead_zone_and_backlash_are_said():
@@ -70,7 +69,7 @@ def test_a_dead_zone_and_backlash_are_said():
         assert CURVED in said(trials(u, lagged(u - np.clip(u, -0.3, 0.3), rng)))
 
 
-def loop(rng, moves, c, integral, N=600, quantum=0.0):
+def loop(rng, moves, c, integral, N=600):
     """Of u = C (r - y), C = c0 + c1 / z, over 1 - 1 / z if integral; v is coloured noise."""
     u, y, r = np.zeros(N), np.zeros(N), moves * np.repeat(rng.standard_normal(N // 3), 3)
     v = lfilter([0.05], [1, -0.9], rng.standard_normal(N))
@@ -79,7 +78,6 @@ def loop(rng, moves, c, integral, N=600, quantum=0.0):
         y[t] = 0.7 * (y[t - 1] - v[t - 1]) + 0.3 * u[t - 1] + v[t]
         e[t] = r[t] - y[t]
         u[t] = c[0] * e[t] + c[1] * e[t - 1] + integral * u[t - 1]
-        u[t] = np.rint(u[t] / quantum) * quantum if quantum else u[t]
     return trials(u[None], y[None])
 
 
@@ -87,16 +85,14 @@ def loop(rng, moves, c, integral, N=600, quantum=0.0):
     "given",
     [
         {"moves": 0.0, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.0, "c": (0.32, -0.3), "integral": 1, "quantum": 0.01},
         {"moves": 0.05, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.0, "c": (1.0, 0.0), "integral": 0},
         {"moves": 0.0, "c": (1.5, -0.5), "integral": 0},
     ],
 )
 def test_a_loop_without_its_reference_is_said(given):
     """What is estimated is -1 / C, at a radius of nothing."""
-    found = [said(loop(np.random.default_rng(seed), **given), False) for seed in range(4)]
-    assert sum(FOLLOWS in words for words in found) >= 3
+    found = [said(loop(np.random.default_rng(seed), **given), False) for seed in range(2)]
+    assert all(FOLLOWS in words for words in found)
 
 
 @pytest.mark.parametrize("direct", [0, 1])
@@ -108,23 +104,6 @@ def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noi
         y = lfilter([0.3 * direct, 0.3 * (1 - direct)], [1, -0.7], u)
         y += noise * rng.standard_normal(y.shape)
         assert FOLLOWS not in said(trials(u, y), False)
-
-
-def test_the_first_coefficient_is_as_uncertain_as_its_posterior_says():
-    """By a dense matrix."""
-    rng = np.random.default_rng(0)
-    u = np.repeat(rng.standard_normal(60), 3)[None]
-    y = lfilter([0.3], [1, -0.7], u) + 0.1 * rng.standard_normal((1, 180))
-    fit = regression(trials(u, y), True)
-    data, post, layout = fit.data, fit.posterior, fit.data.layout
-    of_first = np.zeros(len(fit.mean))
-    of_first[layout.c == 1] = increments(layout.knots[1])[0]
-    first = of_first @ fit.mean
-    precision = data.products[0, :-1, :-1] + np.diag(post.size**-2.0)
-    (share,), (explained,) = module._first(fit)
-    of_noise = of_first @ np.linalg.solve(precision, of_first)
-    assert explained == pytest.approx(first**2 / of_noise / post.rss, rel=1e-6)
-    assert share == pytest.approx(0.3, abs=0.1)
 
 
 def test_memory_grows_as_the_trials_do():
