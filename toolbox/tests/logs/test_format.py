@@ -96,7 +96,6 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
         (lambda t: t.assign_coords(control=("channel", ["depth"])), "two units"),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format'"),
-        (lambda t: t.assign_attrs({"a: b": "c"}), "attribute 'a: b'"),
     ],
 )
 def test_what_would_not_be_read_alike_is_not_saved(tmp_path, trials, changed, message):
