@@ -35,7 +35,7 @@ def test_the_loop_is_rebuilt_to_the_last_digit(name, loop, tmp_path):
 
 NOTE = json.loads(trials_of(LOOP).attrs["loop"])
 REFUSALS = [  # what the metadata say of the loop, and what the error names
-    *(("", word) for word in ("null", "", '{"plant": {"A": 1}}')),
+    *(("", word) for word in ("null", '{"plant": {"A": 1}}')),
     ("KL has shape", NOTE | {"KL": [[1.0]]}),
     ("units", NOTE | {"units": ["K", "W"]}),
     ("plant.dt = True", NOTE | {"plant": NOTE["plant"] | {"dt": True}}),
