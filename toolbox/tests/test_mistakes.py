@@ -188,10 +188,6 @@ SAID = {  # what a warning says, and simulated trials that cannot work
     "predicts 0.*-1 in x came; .*exchanged or reversed": lambda: run_trials(
         AXES, OF_AXES.law(), TWO, None, 3, plant=altered(axes(), B=-1.0)
     ),
-    "predicts 0.*-0.96 in x came; .*exchanged or reversed": lambda: run_trials(
-        AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
-        plant=control.ss(TURNED, outputs=["x", "y"]),
-    ),
     "^no output moves in the 60 samples of a trial": lambda: run_trials(
         ClosedLoop(furnace(60)), LAW, MOVE, None, 2
     ),

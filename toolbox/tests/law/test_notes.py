@@ -53,9 +53,7 @@ def test_the_loop_of_other_signals_or_units_is_refused():
     run = trials_of(LOOP)
     for other, message in (
         (run.assign_coords(output=("channel", ["a"])), "log.outputs"),
-        (run.assign_attrs(Ts=2.0), "is 2 s"),
         (run.assign_coords(output_unit=("channel", ["m"])), r"log.units\['depth, ϑ'\] = 'm'"),
-        (run.assign_coords(source_unit=("source", ["l/h"])), "l/h"),
     ):
         with pytest.raises(LogError, match=message):
             loop_of(other)

@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
+from ilctools.models import sampled_plant
 
 POINTS = 50_000
 PASSED = 1 + 1e-6
@@ -25,10 +26,7 @@ def plant(rng, m):
             r, angle = rng.uniform(0.8, 0.98), rng.uniform(0.5, 2.5)
             entry += control.tf([0.3 * gain * (1 - r), 0], [1, -2 * r * np.cos(angle), r**2], 1.0)
         entries[i, j] = entry * control.tf([1], [1, 0], 1.0) ** int(rng.integers(0, 3))
-    apart = control.append(*(control.ss(entry) for entry in entries.ravel()))
-    split, joined = np.tile(np.eye(m), (m, 1)), np.repeat(np.eye(m), m, axis=1)
-    A, B, C, D = apart.A, apart.B @ split, joined @ apart.C, joined @ apart.D @ split
-    return control.ss(A, B, C, D, 1.0), entries
+    return sampled_plant(control.combine_tf(entries)), entries
 
 
 def response(entries, omega):
@@ -127,7 +125,4 @@ def exceeded(seed):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seed", [3, 4, 8, 13])  # none of which takes long
 def test_no_certificate_is_exceeded(seed):
-    try:
-        assert max(exceeded(seed)) <= PASSED
-    except InfeasibleError:
-        pytest.skip("infeasible")
+    assert max(exceeded(seed)) <= PASSED

@@ -44,14 +44,12 @@ def test_a_P_that_came_back_makes_the_same_design():
     assert again.value == pytest.approx(DESIGN.value, rel=1e-9)
 
 
-@pytest.mark.parametrize("design", [DESIGN, OF_ONE], ids=["two", "one"])
-def test_a_filter_is_called_at_z_as_their_systems_are(design):
-    L, z = design.filter, np.exp(1j * OMEGA)
+def test_a_filter_is_called_at_z_as_their_systems_are():
+    L, z = DESIGN.filter, np.exp(1j * OMEGA)
     polynomials = [
         [[*c[::-1].tolist(), 0.0] for c in row] for row in L.coefficients
     ]  # their polynomials begin with the highest power
-    ones = [[[1.0]] * L.channels] * L.channels
-    theirs = control.TransferFunction(polynomials, ones, 1.0)
+    theirs = control.TransferFunction(polynomials, [[[1.0]] * 2] * 2, 1.0)
     for points in (z[3], z, [0.5, 2.0j]):
         np.testing.assert_allclose(L(points), theirs(points), rtol=1e-10)
         assert np.shape(L(points)) == np.shape(theirs(points))

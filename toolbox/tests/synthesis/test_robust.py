@@ -17,7 +17,7 @@ OTHERS = 3
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}
 
 
-def question(m, kind, seed, n=8):
+def question(m, kind, seed, n=5):
     """Plants, Q, frequencies and choices for which the bounds on more than one plant matter."""
     P, Q, omega = random_response(seed, m, n)
     rng = np.random.default_rng(seed)
