@@ -128,17 +128,6 @@ def test_by_default_a_resonant_plant_is_learned_as_by_norm_optimal_learning_with
     assert certificate.proven and certificate.rate < 0.5
 
 
-def test_what_is_certified_for_samples_is_the_finite_filter_that_runs():
-    omega = np.linspace(2, np.pi / 1e-3, 1500)
-    design = synthesise(frequency_response(STAGE, omega), Q, omega, base=0.03)
-    L = design.filter
-    assert isinstance(L, LearningFilter) and not design.certificate.failures
-    M = convergence(STAGE, Q, L, omega)
-    assert_allclose(M.sigma, design.sigma_M, rtol=0, atol=1e-9)
-    operator = synthesise(STAGE, Q, omega, base=0.03)
-    assert_allclose(design.sigma_M, operator.sigma_M, rtol=0, atol=0.02)
-
-
 def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_filter(
     with_base, finite
 ):

@@ -5,13 +5,11 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from paper import paper_choices
-from plants import invertible, lag, lags, sigma_of_M
+from plants import lag, lags
 
 from ilctools import convergence, rate, synthesise, zero_phase_butterworth
-from ilctools.evidence.certificate import certify, check
+from ilctools.evidence.certificate import certify
 from ilctools.evidence.peak import peak_of_M
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
@@ -108,16 +106,6 @@ def test_next_to_zero_the_gap_is_relative_to_a_hundredth_of_the_idle(good):
     assert perfect.gap == pytest.approx(1e-7)
 
 
-@given(st.integers(0, 999), st.integers(1, 2))
-def test_the_truth_between_samples_of_random_plants_is_below_the_estimate(seed, m):
-    """Where samples are close enough to show all of them."""
-    model, Q = invertible(seed, m), zero_phase_butterworth(2, 0.5, 1.0)
-    omega = np.geomspace(0.01, np.pi, 120)
-    design = synthesise(frequency_response(model, omega), Q, omega, 1.0)
-    truth = sigma_of_M(np.geomspace(0.01, np.pi, 5001), model, Q, design.filter)
-    assert truth.max() <= design.rate * (1 + 1e-6)
-
-
 def test_learning_that_does_nothing_is_named():
     problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((64, 2, 2))
@@ -208,25 +196,11 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop, Q):
     own = np.geomspace(1e-4, 2.0, 70)
     design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 250), **paper_choices())
     all_M, P = design.certificate.all_M, loop.frequency_response(own)
-    assert design.check(loop).gamma == pytest.approx(all_M, rel=1e-9)
     result = design.check(control.frd(np.moveaxis(P, 0, -1), own))
     assert result.gamma == pytest.approx(all_M, rel=1e-2)
     assert result.gamma >= rate(P, Q, design.filter, own).gamma
     unsure = design.check(P, own, uncertainty=np.full(70, 1e-3))
     assert result.gamma < unsure.gamma and not unsure.proven
-
-
-def test_above_a_table_the_assumed_size_counts(design):
-    own = np.geomspace(1e-3, 0.4, 60)
-    table = frequency_response(lag(), own)
-    low = design.check(table, own)
-    asked = {"order": 1, "L_max": None, "objective": "peak"}
-    asked["uncertainty"] = np.append(np.zeros(59), 20.0)
-    problem = pose(table, BUTTERWORTH, own, **asked)
-    high = check(problem, design.filter).convergence
-    assert low.gamma < 1 < high.gamma and high.at >= own[-1]
-    assert low.converges and not high.converges
-    assert f"sigma_max(P) is {20 + np.abs(table[-1, 0, 0]):.4g} at most" in str(high)
 
 
 def test_samples_of_Q_are_known_at_the_design_frequencies_only():

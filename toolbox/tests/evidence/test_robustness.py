@@ -1,4 +1,4 @@
-"""The worst case over plants and a radius, against closed forms, searches and samples."""
+"""The worst case over plants and a radius, against searches and samples."""
 
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ from plants import complex_normal
 from scipy.optimize import minimize_scalar
 
 from ilctools import LearningFilter, worst_case
+from ilctools.evidence.robustness import within_radius
 from ilctools.problem.pose import pose
 
 sizes = st.integers(1, 3)
@@ -80,3 +81,15 @@ def test_the_bound_is_attained_and_no_plant_within_the_radius_is_worse(m, others
             Delta = complex_normal(rng, m, m)
             Delta *= problem.radius[i] / np.linalg.norm(Delta, 2)
             assert sigma_max(problem, L, i, k, Delta) <= worst.sigma[i] * (1 + 1e-12)
+
+
+def test_the_bound_is_attained_where_two_directions_are_amplified_equally():
+    """One is worst for M and the other for L, and only their sum is worst for both."""
+    M, L, every = np.diag([1.0, 0.2]), np.diag([0.3, 0.9]), np.ones((4, 1, 1))
+    P, radius = (np.eye(2) - M) @ np.linalg.inv(L), np.array([0.5, 0.9, 1.0, 1.1])
+    worst = within_radius(every * P, np.ones(4), every * L, radius, level=0.0)
+    angle = np.linspace(0, np.pi / 2, 100_001)
+    x = np.stack([np.cos(angle), np.sin(angle)])
+    of_M, of_L = np.linalg.norm(M @ x, axis=0), np.linalg.norm(L @ x, axis=0)
+    sums = of_M + np.outer(radius, of_L)
+    np.testing.assert_allclose(worst, sums.max(axis=1), rtol=1e-8)

@@ -143,17 +143,6 @@ def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
         assert_allclose(free[name], expected, atol=1e-9 * size)
 
 
-@pytest.mark.parametrize("case", ["stage", "tanks", "furnace"])
-def test_an_informed_observer_estimates_no_disturbance_where_there_is_none(case):
-    law, reference = CASES[case]
-    run, can = run_trials(law.loop, law, reference, trials=4), law.actuators.can
-    size = np.abs(run.u).max().item()
-    assert not can(run.u.values[0]) and can(run.applied.values)
-    assert np.abs(run.delta).max() < 1e-8 * size
-    # the model is exact, so the next trials keep what was asked of them
-    assert_allclose(run.applied[1:], run.u[1:], atol=1e-7 * size)
-
-
 def test_the_rate_in_the_metric_is_a_generalised_eigenvalue_of_the_worst_plant():
     """The first plant has the metric."""
     loop, L = LOOP, TANKS[0].L

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import paper_choices
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.evidence.peak import CLOSE, peak_of_L
@@ -22,13 +21,6 @@ def table(seed, m, n, last):
     omega = np.geomspace(last / 100, last, n)
     z = np.exp(1j * omega)[:, None, None]
     return (np.eye(m) + 0.2 * coupling) * (1 - poles) / (z - poles), omega
-
-
-def test_on_the_grid_of_the_paper_nothing_is_added(loop, Q, omega):
-    problem = pose(loop.frequency_response(omega), Q, omega, 1.0, **paper_choices())
-    same, stated = on_a_grid(problem)
-    assert same is problem and stated.all() and problem.response.beyond is None
-    np.testing.assert_array_equal(problem.weight, np.tile(np.eye(2) / 50, (1000, 1, 1)))
 
 
 @given(st.integers(1, 3), st.integers(1, 25), st.integers(3, 40), st.integers(0, 999))

@@ -64,8 +64,6 @@ def posed(seed):
 def reached(M, L, rho):
     """max over x of |M x| + rho |L x|, from below, by power iteration from two starts."""
     best = np.linalg.norm(M, 2, axis=(1, 2))
-    if not rho.any():
-        return best
     for G in (M, L):
         x = np.linalg.svd(G)[2][:, 0].conj()[..., None]
         for _ in range(40):
@@ -107,8 +105,10 @@ def judged(design, plants, truth, Q, omega, radius, said):
     return worst, np.linalg.norm(L[high], 2, axis=(1, 2)).max()
 
 
-def exceeded(seed):
-    """By which factors M and L exceed rate and peak as certified, and the bounds asked for."""
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", [3, 4, 8, 13])  # none of which takes long
+def test_no_certificate_is_exceeded(seed):
+    """Nor do rate and peak as certified exceed the bounds asked for."""
     plants, truth, Q, omega, asked = posed(seed)
     try:
         design = synthesise(plants, Q, omega, 1.0, **asked)
@@ -119,10 +119,4 @@ def exceeded(seed):
     most = certificate.all_M, certificate.all_L
     M, L = judged(design, plants, truth, Q, omega, radius, most[0])
     L_max = design.problem.L_max
-    return M / most[0], L / most[1], most[0] / asked["M_max"], most[1] / L_max
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [3, 4, 8, 13])  # none of which takes long
-def test_no_certificate_is_exceeded(seed):
-    assert max(exceeded(seed)) <= PASSED
+    assert max(M / most[0], L / most[1], most[0] / asked["M_max"], most[1] / L_max) <= PASSED

@@ -93,7 +93,7 @@ def test_where_rounds_do_not_suffice_it_says_what_may_help(loop, Q, monkeypatch)
         synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), everywhere=True, **PAPER)
 
 
-def test_a_reference_goes_with_everywhere_and_without_Q():
+def test_a_reference_goes_with_everywhere():
     """Added frequencies have no weight."""
     P, Q, omega = lags(), zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(1e-3, np.pi, 100)
     choices = {"order": 6, "L_max": 50.0, "reference": bump(300, [1.0, 2.0])}
@@ -103,5 +103,3 @@ def test_a_reference_goes_with_everywhere_and_without_Q():
     assert design.certificate.all_M <= 0.9 * (1 + 1e-6) and len(grid.omega) > 100
     assert {*grid.omega[grid.objective.weights > 0]} <= {*omega}
     assert design.value >= plain.value * (1 - 1e-9)
-    chosen = synthesise([P, P], None, omega, reference=choices["reference"])
-    assert chosen.certificate.predicted[2] > 0

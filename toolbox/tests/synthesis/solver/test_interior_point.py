@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
 from plants import lag, random_response
-from problems import dense, memory
+from problems import memory
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
@@ -114,46 +114,30 @@ def test_a_perfect_filter_is_certified(T, order, gain):
     assert design.value - design.certificate.lower_bound <= 1e-9 * idle
 
 
-def small_program(m, structure, objective, robust):
-    """With a radius and two more plants, or without."""
+def small_program(m, structure, objective):
+    """With a radius and two more plants."""
     P, Q, omega = random_response(m, m)
     choices = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
     choices |= {"structure": structure, "objective": objective}
-    if not robust:
-        return formulate(pose(P, Q, omega, 1.0, **choices)).program
     plants, radius = [P, P * 1.05, P * 0.96], np.full(len(omega), 0.05)
     problem = pose(plants, Q, omega, 1.0, uncertainty=radius, **choices)
     return formulate(problem, [1, 2, 1], [3, 3, 7]).program
 
 
-PROGRAMS = [
-    (1, "full", "sum", False),
-    (2, "diagonal", "peak", False),
-    (2, "diagonal", "sum", True),
-    (3, "full", "peak", True),
-]
+PROGRAMS = [(1, "full", "sum"), (2, "diagonal", "sum"), (3, "full", "peak")]
 
 
 @pytest.mark.parametrize("kind", PROGRAMS)
-def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(kind):
+def test_a_whole_step_meets_all_equations_that_are_linear(kind):
+    """Then the gap is the complementarity."""
     program = small_program(*kind)
     p = interior_point.begin(program, np.zeros((len(program.rows), 3)))
-    total = p.room @ p.eta
-    for S, Y in zip(p.S, p.Y, strict=True):
-        total += np.einsum("nij,jin->", dense(*S), Y).real
-    assert p.complementarity == pytest.approx(total, rel=1e-12)
     q = p.moved(interior_point.Newton(p).direction(0.0), 1.0, 1.0)
-    # after a whole step, all equations that are linear hold
     size = max(np.abs(Y).max() for Y in q.Y)
     assert np.abs(q.stationarity).max() < 1e-9 * size
-    of_t = np.zeros(len(program.cost) + 2)
-    for bound, Y in zip(program.bounds, q.Y, strict=True):
-        diagonal = np.einsum("iin->in", Y).real
-        of_b = np.append(bound.of_b, np.ones(bound.F.shape[1])) @ diagonal
-        of_t += np.bincount(bound.level, of_b, len(of_t))
-        np.testing.assert_allclose(bound.of_d @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
-    np.testing.assert_allclose(of_t[:-2] - q.eta, program.cost, atol=1e-9)
-    assert q.objective - q.dual_value == pytest.approx(q.complementarity, abs=1e-9 * total)
+    assert q.objective - q.dual_value == pytest.approx(
+        q.complementarity, abs=1e-9 * p.complementarity
+    )
 
 
 def test_a_failure_is_not_called_infeasible(monkeypatch):
