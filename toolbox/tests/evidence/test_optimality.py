@@ -1,4 +1,4 @@
-"""Parts of the lower bound; it is tried with CVXPY's multipliers in synthesis/test_robust.py."""
+"""The lower bound; CVXPY's multipliers try it in synthesis/test_robust.py."""
 
 import numpy as np
 import pytest

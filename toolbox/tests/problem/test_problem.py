@@ -1,4 +1,4 @@
-"""The problem as an object, and the singular values that it is about."""
+"""The singular values that the problem is about."""
 
 import numpy as np
 import pytest
