@@ -164,12 +164,6 @@ def random_stable(seed, n=4, m=2, distance=0.1, scale=1.0, Ts=0.5):
     return control.ss(A, scale * B, C, scale * D, Ts)
 
 
-def invertible(seed, m):
-    """A random stable plant of which little is delayed, so that L can invert it."""
-    model = random_stable(seed, 3, m, Ts=1.0)
-    return control.ss(model.A, model.B, model.C, model.D + 2 * np.eye(m), 1.0)
-
-
 def complex_normal(rng, *shape):
     return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
 

@@ -18,16 +18,6 @@ def memory(function):
     return peak
 
 
-def dense(diagonal, b, G):
-    """S = [[Lambda, G], [G^H, b I]], frequency first, one by one."""
-    columns = zip(diagonal.T, b, np.moveaxis(G, -1, 0), strict=True)
-    blocks = [
-        [[np.diag(Lambda), G_i], [G_i.conj().T, b_i * np.eye(G.shape[1])]]
-        for Lambda, b_i, G_i in columns
-    ]
-    return np.array([np.block(rows) for rows in blocks])
-
-
 def optimum(problem):
     """The problem as a semidefinite program, entry for entry: its optimum and its multipliers.
 

@@ -23,8 +23,6 @@ from ilctools import (
     run_trials,
     save_law,
     synthesise,
-    trial_norm,
-    trial_operators,
     zero_phase_butterworth,
 )
 from ilctools.base import RegularisedInverse
@@ -85,8 +83,6 @@ def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, o
             if 0 <= at < N or (at < 0 and before) or (at >= N and after):
                 dense[p, :, np.clip(at, 0, N - 1)] += L.coefficients[:, :, k]
     acts_as(L, dense.reshape(2 * N, 2 * N))
-    shifts = np.exp(0.7j * np.arange(first, first + order))
-    assert_allclose(L(np.exp(0.7j)), L.coefficients @ shifts, atol=1e-11)
 
 
 def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
@@ -130,23 +126,6 @@ def test_by_default_a_resonant_plant_is_learned_as_by_norm_optimal_learning_with
     assert auto < 1.1 * norm_optimal and auto < plain
     certificate = designs[1].certificate
     assert certificate.proven and certificate.rate < 0.5
-    assert "L = B K" in certificate.details
-
-
-def test_what_is_certified_for_samples_is_the_finite_filter_that_runs():
-    omega = np.linspace(2, np.pi / 1e-3, 1500)
-    design = synthesise(frequency_response(STAGE, omega), Q, omega, base=0.03)
-    L = design.filter
-    assert isinstance(L, LearningFilter) and not design.certificate.failures
-    M = convergence(STAGE, Q, L, omega)
-    assert_allclose(M.sigma, design.sigma_M, rtol=0, atol=1e-9)
-    operator = synthesise(STAGE, Q, omega, base=0.03)
-    assert_allclose(design.sigma_M, operator.sigma_M, rtol=0, atol=0.02)
-    random = np.random.default_rng(0)
-    B = LearningFilter(random.standard_normal((1, 1, 801)), 1e-3, first=-400)
-    K = LearningFilter(random.standard_normal((1, 1, 5)), 1e-3, first=-2)
-    product = B.frequency_response(omega) @ K.frequency_response(omega)
-    assert_allclose((B @ K).frequency_response(omega), product, atol=1e-9)
 
 
 def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_filter(
@@ -165,29 +144,19 @@ def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_fil
 
 
 def test_files_keep_it_and_old_filters_keep_their_bytes(tmp_path, with_base, finite):
-    old, new = tmp_path / "old.json", tmp_path / "new.json"
-    save_law(old, Law(Q, LearningFilter([[[0.5]]], 1e-3)))
-    assert '"rodlib law 1"' in old.read_text() and "first" not in old.read_text()
-    of_two = LearningFilter([[[0.5, 1.0]]], 1e-3, first=0)
-    for law in (with_base.law(), finite.law(), Law(Q, of_two)):
-        save_law(new, law)
-        assert '"rodlib law 2"' in new.read_text()
-        assert text_of(law_notes(load_law(new))) == text_of(law_notes(law))
-    new.write_text(new.read_text().replace("law 2", "law 3"))
+    path = tmp_path / "law.json"
+    old = Law(Q, LearningFilter([[[0.5]]], 1e-3))
+    for law, version in ((old, 1), (with_base.law(), 2), (finite.law(), 2)):
+        save_law(path, law)
+        assert f'"rodlib law {version}"' in path.read_text()
+        assert ("first" in path.read_text()) == (version == 2)
+        assert text_of(law_notes(load_law(path))) == text_of(law_notes(law))
+    path.write_text(path.read_text().replace("law 2", "law 3"))
     with pytest.raises(ValueError, match="format must be one of"):
-        load_law(new)
+        load_law(path)
 
 
-def test_its_norm_on_a_trial_is_that_of_dense_matrices(with_base):
-    L = with_base.filter
-    P_N, Q_N, L_N = trial_operators(STAGE, Q, L, 40)
-    one = np.eye(40)
-    T = Q_N @ (one - (L_N @ (P_N @ one)))
-    assert trial_norm(STAGE, Q, L, 40)[0] == pytest.approx(np.linalg.norm(T, 2), rel=1e-6)
-    assert_allclose(L_N.rmatmat(one), (L_N @ one).T, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("share", [1.0, 0.0, -0.1, "none", True])
+@pytest.mark.parametrize("share", [1.0, 0.0, "none", True])
 def test_a_base_that_is_no_share_is_refused(share):
     with pytest.raises(ValueError, match="base = "):
         synthesise(STAGE, Q, base=share)
@@ -202,24 +171,19 @@ def test_K_does_not_leave_the_error_to_the_end_of_a_trial(with_base, finite):
     assert errors_of(L, reference, 4)[-1] < 0.9 * errors_of(zero, reference, 4)[-1]
 
 
-@pytest.mark.parametrize("as_models", [True, False])
-def test_of_a_list_L_is_the_quadratic_law_of_all_plants_and_keeps_its_bound(as_models):
+def test_of_a_list_L_is_the_quadratic_law_of_all_plants_and_keeps_its_bound():
     plants, scale = [COUPLED, 1.2 * COUPLED], [1.0, 4.0]
     omega, low = np.linspace(1e-2, np.pi, 400), zero_phase_butterworth(2, 0.3, 1.0)
     P = np.array([frequency_response(one, omega) for one in plants])
-    known = plants if as_models else list(P)
-    design = synthesise(known, low, omega, 1.0, scale=scale)
+    design = synthesise(plants, low, omega, 1.0, scale=scale)
     assert design.problem.order == 1 and design.sigma_L.max() <= design.problem.L_max * (1 + 1e-9)
     units = np.divide.outer(1 / np.array(scale), 1 / np.array(scale))
     P, b = P * units, 1 / (2 * design.problem.L_max)
     adjoint = P.conj().swapaxes(2, 3)
     L = np.linalg.solve((adjoint @ P).mean(axis=0) + b**2 * np.eye(2), adjoint.mean(axis=0))
     found = design.filter.frequency_response(omega)
-    size = np.abs(L / units).max()
-    inside = omega < 0.3
-    assert_allclose(
-        found[inside], (L / units)[inside], rtol=0, atol=(1e-9 if as_models else 1e-2) * size
-    )
+    atol = 1e-9 * np.abs(L / units).max()
+    assert_allclose(found[omega < 0.3], (L / units)[omega < 0.3], rtol=0, atol=atol)
 
 
 def test_where_P_passes_nothing_the_rest_is_learned_and_print_says_where():

@@ -31,7 +31,6 @@ def test_q_that_holds_the_ends_passes_a_constant():
     constant = np.full((40, 2), 3.0)
     Q = zero_phase_butterworth(2, 0.1, 1.0, ends="hold")
     np.testing.assert_allclose(Q.apply(constant), constant, rtol=1e-12)
-    assert zero_phase_butterworth(2, 0.1, 1.0).apply(constant)[-1, 0] < 2
 
 
 def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
@@ -41,7 +40,6 @@ def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
     hold = zero_phase_butterworth(2, 0.1, 1.0, ends="hold")
     expected = hold.apply(begun)[700:]
     np.testing.assert_allclose(held, expected, rtol=0, atol=1e-12)
-    assert abs(held - hold.apply(signal))[0].max() > 0.01
 
 
 def test_q_at_z_is_its_response_on_the_circle_and_the_same_inside_and_outside(Q):
@@ -49,18 +47,6 @@ def test_q_at_z_is_its_response_on_the_circle_and_the_same_inside_and_outside(Q)
     expected = Q.frequency_response(omega.ravel()).reshape(2, 2)
     np.testing.assert_allclose(Q(np.exp(1j * omega)), expected, atol=1e-12)
     assert Q(0.9) == pytest.approx(Q(1 / 0.9), rel=1e-9)
-
-
-@given(st.integers(101, 5000), st.integers(-3000, 3000), st.integers(0, 2**32 - 1))
-def test_a_long_filter_has_the_response_that_its_taps_sum_up_to(order, first, seed):
-    random = np.random.default_rng(seed)
-    taps = random.standard_normal((2, 2, order)) * np.exp(-np.arange(order) / 500)
-    omega = np.append(random.uniform(-7, 7, 20), [0, 1e-5, np.pi])  # Ts = 0.5 s
-    shifts = np.exp(0.5j * np.outer(omega, np.arange(first, first + order)))
-    expected = np.einsum("ijk,nk->nij", taps, shifts)
-    response = LearningFilter(taps, 0.5, first=first).frequency_response(omega)
-    bound = 1e-12 * np.abs(taps).sum(axis=2).max()
-    np.testing.assert_allclose(response, expected, rtol=0, atol=bound)
 
 
 def test_coefficients_cannot_be_changed_behind_the_filter():
@@ -72,24 +58,27 @@ def test_coefficients_cannot_be_changed_behind_the_filter():
         L.coefficients[0, 0, 0] = 2
 
 
-@pytest.mark.parametrize(("order", "cutoff"), [(20, 3e-5), (1, 1e-12), (20, 3.14155)])
-def test_where_rounding_would_change_the_filter_it_is_refused(order, cutoff):
-    with pytest.raises(
-        ValueError, match=f"^cutoff = {cutoff} rad/s is too {'low' if cutoff < 1 else 'high'}"
-    ):
-        zero_phase_butterworth(order, cutoff, 1.0)
-
-
 def test_filters_at_the_limits_of_rounding():
     assert zero_phase_butterworth(2, 1e-3, 1.0).frequency_response(0.0) == pytest.approx(1)
     steep = zero_phase_butterworth(20, np.float64(1.0), np.int32(1))
     assert steep.frequency_response(1.0) == pytest.approx(0.5)
     assert isinstance(steep.Ts, float)
-
-
-@pytest.mark.parametrize(("cutoff", "Ts"), [(1e-7, 1.0), (0.1, 1e-99)])
-def test_a_filter_whose_response_does_not_end_is_refused_where_it_is_made(cutoff, Ts):
-    """Of order 1 its coefficients are exact; a signal of ten samples took 10 GB."""
-    with pytest.raises(ValueError, match=r"too low for order = 1 .* more than 1e7 samples"):
-        zero_phase_butterworth(1, cutoff, Ts)
     assert zero_phase_butterworth(1, 1e-5, 1.0).decay < 1e7
+
+
+@pytest.mark.parametrize(
+    ("order", "cutoff", "Ts", "words"),
+    [
+        (20, 3e-5, 1.0, "too low"),
+        (1, 1e-12, 1.0, "too low"),
+        (20, 3.14155, 1.0, "too high"),
+        (1, 1e-7, 1.0, "too low for order = 1 .* more than 1e7 samples"),
+        (1, 0.1, 1e-99, "too low for order = 1 .* more than 1e7 samples"),
+    ],
+)
+def test_a_filter_that_rounding_would_change_or_that_does_not_end_is_refused(
+    order, cutoff, Ts, words
+):
+    """Of order 1 its coefficients are exact; a signal of ten samples took 10 GB."""
+    with pytest.raises(ValueError, match=f"^cutoff = {cutoff} rad/s is {words}"):
+        zero_phase_butterworth(order, cutoff, Ts)

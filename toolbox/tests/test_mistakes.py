@@ -16,25 +16,21 @@ from plants import (
     altered,
     axes,
     bump,
+    complex_normal,
     furnace,
     random_stable,
-    sigma_of_M,
     tanks,
 )
 from scipy import signal
 
 from ilctools import (
     ClosedLoop,
-    Controller,
     Law,
     LearningFilter,
-    NormOptimal,
     converged_noise,
     convergence,
     current_trial_loop,
     frequency_response,
-    load_law,
-    load_log,
     measured_response,
     multisine,
     read_table,
@@ -43,7 +39,6 @@ from ilctools import (
     rms,
     run_trials,
     save_law,
-    save_log,
     shake,
     state_sequence,
     synthesise,
@@ -53,7 +48,6 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.law.notes import loop_note, with_law
-from ilctools.problem.defaults import lead
 from ilctools.problem.pose import pose
 
 TS = 1e-3
@@ -101,29 +95,18 @@ REFUSED = {  # what the error says, and a call
     ),
     "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
     "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
-    "log is real at each frequency": lambda: measured_response(
-        control.frd(20 * np.log10(np.abs(P.T)), OMEGA)
-    ),
     r"outputs\['T'\] = 'T' is another signal's column": lambda: read_table(
         labelled("u", "T"), Ts=1.0, inputs={"u": "T"}, outputs={"T": "T"}
     ),
     # what is no plant, no filter, no log
     "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
     "Q = Trans.* one direction only: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
-    r"Q = 5 is no filter, .* zero_phase_butterworth\(order,": lambda: synthesise(MODEL, 5),
     "Q holds values of type <U4": lambda: synthesise(MODEL, "lowp"),
-    r"Q has shape \(1, 6\)": lambda: synthesise(MODEL, Q.sections),
-    "P holds values of type <U7": lambda: synthesise("rod.csv", Q),
-    "P holds values of type object": lambda: synthesise({"a": 1}, Q),
-    r"P has shape \(\), .* \(omega, outputs, inputs\)": lambda: synthesise(5, Q),
-    "P = (?s:.*)to_ss": lambda: synthesise(SCIPY_MODEL, Q),
-    "plant = (?s:.*)to_ss": lambda: current_trial_loop(SCIPY_MODEL),
     "plant = (?s:.*)linearize": lambda: current_trial_loop(
         control.nlsys(None, lambda t, x, u, p: u, dt=1.0)
     ),
     "L = .* pass L.filter": lambda: Law(LAW.Q, OF_AXES),
     "log = .*(?s:.*) read_table": lambda: measured_response(labelled("T1", "T2")),
-    "log = 'log.csv' .*load_log": lambda: measured_response("log.csv"),
     r"log.omega = \[0.0, .{,80}\.\.\.\] must be": lambda: measured_response(
         control.frd(np.ones(200), np.arange(200.0))
     ),
@@ -135,53 +118,34 @@ REFUSED = {  # what the error says, and a call
     ),
     # sizes
     "order = 10 .* 5 frequencies": lambda: synthesise(P[:5], Q, OMEGA[:5], TS, order=10),
-    "order = 40 must be .*, from 1 to 20": lambda: zero_phase_butterworth(40, 2.0, TS),
-    "uncertainty = -0.1 must be a radius": lambda: synthesise(P, Q, OMEGA, uncertainty=-0.1),
-    "amplitude has": lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2),
     "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(
         TANKS, 0.01, 1.0, [1, 1, 1], 1.2
     ),
     "Qs must be symmetric .{,300}$": lambda: current_trial_loop(furnace(), Qs=-np.eye(31)),
     "forcing has shape": lambda: state_sequence(np.eye(2), np.ones((4, 1)), [0.0, 0.0]),
-    "A has shape": lambda: state_sequence(np.ones((2, 1)), np.ones((4, 1)), [0]),
     "options = .*'db'.* control.singular_values_plot": lambda: synthesise(LAG, LAW.Q).plot(db=True),
     "(?s:.*)infeasible(?s:.*)units, signs and the order": lambda: synthesise(
         [LAG, 1000 * LAG], LAW.Q, order=3, L_max=None
     ),
     # names, units, times
     "reference .*T1.*y1": lambda: run_trials(PAPER, LAW_OF_TWO, labelled("T1", "T2")),
-    r"reference has shape \(60,\)": lambda: run_trials(PAPER, LAW_OF_TWO, MOVE),
-    r"design.labels = \['x', 'y', .* P.labels = \['y', 'x'": lambda: OF_AXES.check(TURNED),
-    r"P\[0\].labels = .* P\[1\].labels = \['y', 'x'": lambda: synthesise(
-        [axes(), TURNED], OF_AXES.Q
-    ),
-    "loop.labels = .* plant.labels": lambda: run_trials(AXES, OF_AXES.law(), TWO, plant=TURNED),
     "law.labels = .*, loop.labels = .* in the same order": lambda: run_trials(
         ClosedLoop(TURNED), OF_AXES.law(), TWO
-    ),
-    "P.labels": lambda: ClosedLoop(axes(), outputs=["y", "x"]),
-    r"design.units\['x'\] = 'm', P.units\['x'\] = 'mm'": lambda: OF_AXES.check(
-        ClosedLoop(axes(), units={"x": "mm"})
     ),
     "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s": lambda: transfer(
         LOG.assign_coords(time=0.5 * LOG.time), MOVE
     ),
     # more outputs than inputs
     "P has 1 inputs and 2 outputs.* combinations": lambda: synthesise(axes()[:, 0], OF_AXES.Q),
-    r"P\[1\] has 2 inputs and 3 outputs.* combinations": lambda: synthesise(
-        [np.ones((300, 2, 2)), np.ones((300, 3, 2))], Q, OMEGA
-    ),
     "log has 2 inputs and 3 outputs.* combinations": lambda: measured_response(
         control.frd(np.ones((3, 2, 300)), OMEGA)
     ),
     r"controls = \['set x'\] .*2 outputs.* combinations": lambda: current_trial_loop(axes()[:, 0]),
     # a loop that is not ours
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
-    "P.Ts = 1.0, loop.Ts = 0.2": lambda: ClosedLoop(LAG, 0.2),
     "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
     "P has 2 inputs and 1 outputs": lambda: ClosedLoop(axes()[0, :]),
     r"outputs = \['a'\]": lambda: ClosedLoop(axes(), outputs=["a"]),
-    r"outputs = \['a', 'a'\]": lambda: ClosedLoop(axes(), outputs=["a", "a"]),
     r"controls = \['a'\]": lambda: ClosedLoop(axes(), controls=["a"]),
     "units is about": lambda: ClosedLoop(LAG, units={"z": "mm"}),
     "loop has no P": lambda: run_trials(ClosedLoop(Ts=1.0, outputs=["x"]), LAW, MOVE),
@@ -191,31 +155,20 @@ REFUSED = {  # what the error says, and a call
     # noise
     "sensor_psd": lambda: trial_noise(TANKS, [0.1, 1.0], [1.0, -1.0, 0.0]),
     "disturbance_psd": lambda: trial_noise(CURRENT, [0.1, 1.0], 1.0, 1.0),
-    "loop = ": lambda: trial_noise(LOOP, [1.0], 1.0),
     "law does not converge": lambda: converged_noise(
         trial_noise(CURRENT, [0.1, 1.0], 1.0),
         replace(LAW, L=replace(LAW.L, coefficients=[[[-1.0]]])),
     ),
     # a law
     "Q = samples": lambda: synthesise(P, Q.frequency_response(OMEGA), OMEGA, TS).law(),
-    "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
-    r"limits\['Q1'\]": lambda: replace(LAW, limits={"Q1": (1, 0)}),
     r"limits\['pump A'\]\[2\] = 0": lambda: replace(LAW, limits={"pump A": (0, 1, 0)}),
     "v holds .* pass its attribute v": lambda: run_trials(LOOP, LAW, MOVE, v=transfer(LOG, MOVE)),
-    "signal, for an L of samples = 30": lambda: run_trials(
-        LOOP, replace(LAW, L=NormOptimal(LAG, 0.1, 30)), MOVE
-    ),
-    r"limits = \(0, 1\) must be a dict by the names": lambda: replace(LAW, limits=(0, 1)),
-    "limits is about": lambda: replace(BOUND, limits={"fan": (0, 1)}),
     "rest = 3 ": lambda: replace(LAW_OF_TWO, rest=3).next(ZERO[:3], ZERO[:3]),
     "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),
     "u = None": lambda: BOUND.next(ZERO, ZERO),
-    "e holds the signals": lambda: BOUND.next(TWO, labelled("a", "c")),
     r"v or e holds the signals \['b', 'a'\], .*bound_to": lambda: LAW_OF_TWO.next(
         labelled("b", "a"), TWO
     ),
-    "Q.Ts = 1.0, loop.Ts = 2.0": lambda: LIMITED.bound_to(ClosedLoop(None, 2.0, ["y1", "y2"])),
-    "L.channels = 1, loop.channels = 2": lambda: LAW.bound_to(PAPER),
 }
 
 
@@ -230,10 +183,6 @@ SHARE = 100 * np.mean(MOVE > 1)
 SAID = {  # what a warning says, and simulated trials that cannot work
     "predicts 0.*-1 in x came; .*exchanged or reversed": lambda: run_trials(
         AXES, OF_AXES.law(), TWO, None, 3, plant=altered(axes(), B=-1.0)
-    ),
-    "predicts 0.*-0.96 in x came; .*exchanged or reversed": lambda: run_trials(
-        AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
-        plant=control.ss(TURNED, outputs=["x", "y"]),
     ),
     "^no output moves in the 60 samples of a trial": lambda: run_trials(
         ClosedLoop(furnace(60)), LAW, MOVE, None, 2
@@ -266,21 +215,15 @@ def test_frequencies_may_be_rounded():
     assert synthesise(table, Q).certificate.rate == synthesise(P, Q, OMEGA).certificate.rate
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_phase_of_causal_plants_is_no_finding(seed):
-    plant = random_stable(seed, m=1 + seed % 2)
-    for low, high in ((1e-3, 1), (1e-2, 0.3)):
-        omega = np.geomspace(low, high, 80) * np.pi / plant.dt
-        assert lead(frequency_response(plant, omega), omega, plant.dt) < 0.15
-
-
 @pytest.mark.parametrize(("unit", "factor"), [("Hz", 2 * np.pi), ("rad/sample", 1 / TS)])
-@pytest.mark.parametrize(("end", "each"), [(1.0, 1), (1.0, 50), (0.9995, 1), (0.991, 1)])
-def test_omega_in_another_unit_is_refused(unit, factor, end, each):
+@pytest.mark.parametrize(("end", "noise"), [(1.0, 0.02), (0.9995, 0.0), (0.991, 0.0)])
+def test_omega_in_another_unit_is_refused(unit, factor, end, noise):
     """Whether the last line is at the Nyquist frequency or just below; in rad/s it is not."""
+    omega = end * OMEGA
+    samples = frequency_response(MODEL, omega)
+    samples = samples * (1 + noise * complex_normal(np.random.default_rng(0), *samples.shape))
     with pytest.raises(ValueError, match=f"omega is in {unit}, multiply it by {factor:.6g}$"):
-        omega = end * OMEGA[each - 1 :: each]
-        synthesise(frequency_response(MODEL, omega), Q, omega / factor)
+        synthesise(samples, Q, omega / factor)
     for plant in (LAG, *map(random_stable, range(10))):
         omega = np.linspace(0.01, end, 100) * (0.5 / plant.dt if unit == "Hz" else np.pi)
         pose(frequency_response(plant, omega), np.exp(-omega), omega, plant.dt)
@@ -289,19 +232,6 @@ def test_omega_in_another_unit_is_refused(unit, factor, end, each):
 def test_one_number_as_uncertainty_is_relative_to_P():
     design = synthesise(P, Q, OMEGA, uncertainty=0.05)
     np.testing.assert_allclose(design.problem.radius, 0.05 * np.abs(P.ravel()), rtol=1e-12)
-    assert "the radius is 0.05 sigma_max(P)" in str(design) and str(design).count("\n") == 5
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_omega_in_Hz_is_refused_of_noisy_samples_too(seed):
-    """And a noisy table in rad/s that ends where one in Hz would is none."""
-    noise = 0.02 * np.random.default_rng(seed).standard_normal((2, len(P), 1, 1))
-    noisy = P * (1 + noise[0] + 1j * noise[1])
-    with pytest.raises(ValueError, match="as at the Nyquist frequency: omega is in Hz"):
-        synthesise(noisy, Q, OMEGA / (2 * np.pi))
-    omega = np.geomspace(1, 0.5 / TS, 300)
-    lag = frequency_response(control.ss(0.5, 0.5, 1, 0, TS), omega)
-    pose(lag * (1 + noise[0] + 1j * noise[1]), Q, omega)
 
 
 def test_the_error_is_what_reference_and_outputs_say():
@@ -310,7 +240,7 @@ def test_the_error_is_what_reference_and_outputs_say():
 
 def test_trials_that_diverge_by_their_ends_alone_are_warned_of():
     """Without a bound on L: a certificate of less than one, of trials without ends."""
-    for seed in (3, 8, 17):
+    for seed in (3, 8):
         plant = random_stable(seed, n=3, m=1, distance=0.05, Ts=1.0)
         loop = ClosedLoop(control.ss(plant.A, plant.B, plant.C, 0, 1.0))
         design = synthesise(loop, zero_phase_butterworth(2, 0.5, 1.0), L_max=None, base=None)
@@ -321,28 +251,13 @@ def test_trials_that_diverge_by_their_ends_alone_are_warned_of():
         assert len(seen) == 1 and trial_norm(loop.P, law.Q, law.L, 200)[0] > 1
 
 
-def test_the_mean_over_the_band_is_that_of_many_frequencies():
-    """Of thirty frequencies on a line; the sum itself stays that over them."""
-    omega = np.linspace(1e-3, 1, 30) * np.pi / 2.0
-    choices = {"base": None, "band": (omega[0], 0.3)}
-    design = synthesise(TANKS, zero_phase_butterworth(2, 0.15, 2.0), omega, **choices)
-    dense = np.geomspace(omega[0], 0.3, 2001)
-    sigma, u = sigma_of_M(dense, TANKS, design.Q, design.filter), np.log(dense)
-    mean = np.trapezoid(sigma, u) / (u[-1] - u[0])
-    assert design.certificate.mean_M == pytest.approx(mean, abs=5e-5)
-    assert f"over the band: {mean:.4f}," in design.certificate.details
-
-
 def test_units_that_differ_are_a_hint_to_scale():
     A, C = np.diag([0.5, 0.6]), np.array([[1.0, 0.2], [0.3, 1.0]])
     for unit, said in ((1.0, False), (1e3, True)):
         S = np.diag([1.0, unit])
         plant = control.ss(A, np.linalg.inv(S), S @ C, 0, 1.0)
-        hints = [t for t in synthesise(plant, LAW.Q).certificate.assumptions if "scale = [1," in t]
-        assert bool(hints) == said
-        assert not said or 100 < float(re.search(r"\[1, (\S+)\]", hints[0])[1]) < 1e4
-        scaled = synthesise(plant, LAW.Q, scale=S.diagonal()).certificate.assumptions
-        assert not [text for text in scaled if "scale = [" in text]
+        assumed = synthesise(plant, LAW.Q).certificate.assumptions
+        assert any("scale = [1," in text for text in assumed) == said
 
 
 def test_what_holds_a_model_can_be_sent_to_another_process():
@@ -351,8 +266,7 @@ def test_what_holds_a_model_can_be_sent_to_another_process():
     for thing in (design, design.law().bound_to(LOOP), LOOP, measured, tanks()):
         other = pickle.loads(pickle.dumps(thing))
         assert repr(other) == repr(thing) and type(other) is type(thing)
-    assert other.input_labels == thing.input_labels and other.dt == 2.0
-    np.testing.assert_array_equal(other.A, thing.A)
+    assert other.input_labels == thing.input_labels
 
 
 def test_designs_are_compared_without_an_error():
@@ -368,8 +282,6 @@ def test_a_reference_with_times_of_another_period_is_refused():
     for reference in (table, table.x, labelled):
         with pytest.raises(ValueError, match=r"reference has times .* 0\.5 s, but Ts is 1 s"):
             run_trials(LOOP, LAW, reference)
-        with pytest.raises(ValueError, match="resample it"):
-            record(RestartingModel(LAG), LOOP, LAW, reference, trials=1)
     run_trials(LOOP, LAW, table.reset_index(drop=True))  # numbers of samples, not times
     run_trials(LOOP, LAW, table.set_axis(2 * times))
 
@@ -402,17 +314,6 @@ def test_one_channel_needs_no_axis():
         rig = RestartingModel(LAG)
         runs.append(record(rig, CURRENT, LAW, move, trials=2, v=move))
     assert runs[0].identical(runs[2]) and runs[1].identical(runs[3])
-    assert Controller(CURRENT).step([0.0], [1.0]).shape == (1,)
-
-
-def test_a_log_and_a_law_are_distinguished(tmp_path):
-    log, law = tmp_path / "log.csv", tmp_path / "law.json"
-    save_log(LOG, log)
-    save_law(law, LAW)
-    with pytest.raises(ValueError, match="law_of"):
-        load_law(log)
-    with pytest.raises(ValueError, match="load_law"):
-        load_log(law)
 
 
 def test_where_there_is_nothing_to_learn_nothing_is_said():

@@ -57,14 +57,3 @@ def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
     gain, peak = design.margins.gain[1], peak_of(design, 1.2 * STAGE)
     assert peak(gain=0.01 + 0.99 * gain) < 1 < peak(gain=1.01 * gain - 0.01)
     assert f"gain 0 to {gain:.3g} times" in repr(design)
-
-
-def test_of_a_table_only_its_own_frequencies_count():
-    omega = np.geomspace(0.1, 400, 300)
-    P = frequency_response(STAGE, omega)
-    table, model = (
-        synthesise(P, LOWPASS, omega, STAGE.dt).margins,
-        synthesise(STAGE, LOWPASS).margins,
-    )
-    np.testing.assert_allclose(table.gain, model.gain, rtol=0.05)
-    np.testing.assert_allclose(table.delay, model.delay, rtol=0.05)

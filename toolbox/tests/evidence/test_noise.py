@@ -88,13 +88,3 @@ def test_what_is_learned_solves_the_lyapunov_equation(m, seed, gain):
         learned = solve_discrete_lyapunov(M, added)
         limit = 1e-8 * np.abs(learned).max()
         np.testing.assert_allclose(noise.learned.density[i], learned, atol=limit)
-    for spectrum, added in ((noise.true, t), (noise.measured, x)):
-        density = noise.learned.density + added
-        np.testing.assert_allclose(spectrum.density, density, atol=1e-8 * np.abs(density).max())
-
-
-def test_the_rms_is_the_root_of_the_variance():
-    density = np.tile(np.diag([9.0, 36.0]), (2000, 1, 1))
-    both = Spectrum(np.geomspace(1e-3, np.pi / 0.02, 2000), 0.02, density)
-    np.testing.assert_allclose(both.rms, [3, 6], rtol=1e-9)
-    assert both.total == pytest.approx(np.sqrt(45))

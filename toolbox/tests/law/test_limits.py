@@ -6,7 +6,7 @@ import control
 import cvxpy as cp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from plants import LOOPS, PUMPS, altered, lifted
@@ -17,12 +17,11 @@ from ilctools import (
     Law,
     LearningFilter,
     NormOptimal,
-    rate,
     run_trials,
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.law.limits import WEIGHT, Actuators, projected
+from ilctools.law.limits import WEIGHT, Actuators
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 
@@ -115,11 +114,11 @@ def test_it_is_the_nearest_of_all_that_can_be_followed(case):
 @pytest.mark.parametrize("case", ["tanks", "not ours"])
 def test_where_nothing_is_cut_off_it_is_the_law(case):
     law, reference = CASES[case]
-    v, e, u = trial(case)
-    limited = replace(law, rest=3, gain=0.7, limits=dict.fromkeys(law.limits, (-1e3, 1e3)))
-    plain = replace(limited, limits=None)
-    assert_array_equal(limited.next(v, e, u), plain.next(v, e))
-    run, same = (run_trials(law.loop, each, reference, trials=3) for each in (plain, limited))
+    law = replace(law, rest=3, gain=0.7)
+    run, same = (
+        run_trials(law.loop, replace(law, limits=limits), reference, trials=3)
+        for limits in (None, dict.fromkeys(law.limits, (-1e3, 1e3)))
+    )
     for name in run:
         assert_array_equal(same[name], run[name])
 
@@ -142,46 +141,6 @@ def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
         assert_allclose(free[name], expected, atol=1e-9 * size)
 
 
-@pytest.mark.parametrize("case", ["stage", "tanks", "furnace"])
-def test_an_informed_observer_estimates_no_disturbance_where_there_is_none(case):
-    law, reference = CASES[case]
-    run, can = run_trials(law.loop, law, reference, trials=4), law.actuators.can
-    size = np.abs(run.u).max().item()
-    assert not can(run.u.values[0]) and can(run.applied.values)
-    assert np.abs(run.delta).max() < 1e-8 * size
-    # the model is exact, so the next trials keep what was asked of them
-    assert_allclose(run.applied[1:], run.u[1:], atol=1e-7 * size)
-
-
-@settings(max_examples=20)
-@given(st.integers(0, 10**6), st.floats(0.01, 10))
-def test_no_two_signals_get_more_distant(seed, size):
-    """In the norm of ||P v||^2 + weight ||v||^2, which the proof needs."""
-    P, S = lifted(LOOP.P, 60), to_commands(LOOP, 60)
-    steps = np.random.default_rng(seed).standard_normal((2, 60, 3))
-    pair = size * np.cumsum(steps, axis=1)
-    commands = [(S @ v.ravel()).reshape(v.shape) for v in pair]
-    nearest = [
-        projected(LOOP, TANKS[0].actuators, v, u, Q.apply(v), WEIGHT, 0)
-        for v, u in zip(pair, commands, strict=True)
-    ]
-
-    def distance(one, other):
-        off = one - other
-        return np.sum((P @ off.ravel()) ** 2) + WEIGHT * np.sum(off**2)
-
-    assert distance(*nearest) <= distance(*Q.apply(pair)) * (1 + 1e-4) + 1e-6
-
-
-def test_the_outputs_converge_at_the_rate_of_lemma_1():
-    law = TANKS[0]
-    reference = move(300, [3.0, 2.0, 4.0])  # at rest for long before and after
-    gamma = rate(LOOP, Q, law.L, np.geomspace(1e-3, 1, 400) * np.pi / law.Ts).gamma
-    run = run_trials(LOOP, law, reference, trials=10)
-    moved = np.sqrt((run.y.diff("trial") ** 2).sum(["time", "channel"])).values[1:]
-    assert np.all(moved[1:8] < gamma * moved[:7]) and moved[7] > 1e-6
-
-
 def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat():
     """The best by scipy, in the commands: there the limits are a box, the matrix is the plant's."""
     law, reference = CASES["furnace"]
@@ -193,15 +152,6 @@ def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat():
     power = (run.e.values**2).sum(axis=(1, 2))
     assert np.all(np.diff(power[1:]) < 1e-6 * power[0])  # the first was cut off
     assert best * (1 - 1e-9) <= power[-1] < best + 2e-4 * power[0]
-
-
-def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
-    """Where v is zero, it cannot: here the reference itself needs more than there is."""
-    law = replace(CASES["furnace"][0], rest=30, limits={"valve": (0.0, 0.6)})
-    run = run_trials(law.loop, law, np.full((80, 1), 4.0), trials=3)  # it needs 1
-    assert not run.v.values[:, -30:].any()
-    assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()
-    assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
 
 
 def test_without_a_model_commands_are_cut_off():
@@ -219,14 +169,6 @@ def test_without_a_model_commands_are_cut_off():
 COMMANDS = st.lists(st.tuples(*[st.floats(-9, 9)] * 3), min_size=1, max_size=20)
 
 
-def test_actuators_are_those_of_the_commands_of_the_loop():
-    limits = {"pump C": (0, 5), "pump A": (-1, 1, 0.5)}  # 0.5 a second, of two each
-    actuators = Law(Q, None, limits=limits, loop=LOOP).actuators
-    assert_array_equal(actuators.lowest, [-1, -np.inf, 0])
-    assert_array_equal(actuators.highest, [1, np.inf, 5])
-    assert_array_equal(actuators.step, [1, np.inf, np.inf])
-
-
 @given(COMMANDS, st.floats(-3, 3), st.floats(0.1, 4), st.floats(0.01, 2))
 def test_what_is_applied_is_within_and_the_nearest_at_each_step(u, low, width, slew):
     u, high, step = np.array(u), low + width, slew * LOOP.Ts
@@ -241,5 +183,4 @@ def test_what_is_applied_is_within_and_the_nearest_at_each_step(u, low, width, s
     assert_array_equal(applied[:, 2], u[:, 2])
     assert actuators.can(applied)
     assert actuators.can(u) == np.allclose(applied, u, 0, 1e-6 * width)
-    both = actuators.follow(np.stack([u, applied]))
-    assert_array_equal(both, [applied, applied])
+    assert_array_equal(actuators.follow(applied[None]), applied[None])

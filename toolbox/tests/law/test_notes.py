@@ -35,7 +35,7 @@ def test_the_loop_is_rebuilt_to_the_last_digit(name, loop, tmp_path):
 
 NOTE = json.loads(trials_of(LOOP).attrs["loop"])
 REFUSALS = [  # what the metadata say of the loop, and what the error names
-    *(("", word) for word in ("null", "", '{"plant": {"A": 1}}')),
+    *(("", word) for word in ("null", '{"plant": {"A": 1}}')),
     ("KL has shape", NOTE | {"KL": [[1.0]]}),
     ("units", NOTE | {"units": ["K", "W"]}),
     ("plant.dt = True", NOTE | {"plant": NOTE["plant"] | {"dt": True}}),
@@ -53,9 +53,7 @@ def test_the_loop_of_other_signals_or_units_is_refused():
     run = trials_of(LOOP)
     for other, message in (
         (run.assign_coords(output=("channel", ["a"])), "log.outputs"),
-        (run.assign_attrs(Ts=2.0), "is 2 s"),
         (run.assign_coords(output_unit=("channel", ["m"])), r"log.units\['depth, ϑ'\] = 'm'"),
-        (run.assign_coords(source_unit=("source", ["l/h"])), "l/h"),
     ):
         with pytest.raises(LogError, match=message):
             loop_of(other)

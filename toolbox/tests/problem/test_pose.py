@@ -2,7 +2,6 @@
 
 import control
 import numpy as np
-import pandas as pd
 import pytest
 from plants import bump, furnace, lags
 
@@ -18,17 +17,7 @@ SAMPLES = frequency_response(COUPLED, OMEGA)
 FRD = control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA)
 LAG = control.ss(0.5, 1, 1, 0, 2.0)
 OF_TASK = {"band": None, "reference": np.ones((9, 2))}
-LABELLED = pd.DataFrame(np.ones((9, 2)), columns=["a", "b"])
 FEW = control.frd(np.ones((2, 2, 3)), [0.1, 0.2, 0.3])
-
-
-def test_transfer_functions_are_models():
-    gains, poles = np.array([[0.1, 0.02], [0.01, 0.2]]), np.array([[0.9, 0.9], [0.8, 0.8]])
-    z = np.exp(1j * OMEGA)[:, None, None]
-    denominators = [[[1, -pole] for pole in row] for row in poles]
-    posed = pose(control.tf(gains[..., None].tolist(), denominators, 1.0), Q, OMEGA, band=BAND)
-    np.testing.assert_allclose(posed.P, gains / (z - poles), rtol=1e-12)
-    assert posed.proven
 
 
 def test_the_sampling_period_is_taken_from_what_knows_it():
@@ -50,8 +39,6 @@ def test_several_plants_may_be_known_in_several_ways():
     for plant in posed.plants:
         np.testing.assert_allclose(plant, SAMPLES, rtol=1e-12)
     np.testing.assert_array_equal(posed.radius, np.full(60, 0.1))
-    in_one = pose(np.stack([SAMPLES] * 3), Q, OMEGA, 1.0, band=BAND)
-    assert in_one.plants.shape == (3, 60, 2, 2)
 
 
 @pytest.mark.parametrize(
@@ -77,8 +64,6 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         assert a == pytest.approx(b, rel=1e-6)
     assert other.check([P, P]).gamma == pytest.approx(one.certificate.rate, rel=1e-5)
     np.testing.assert_allclose(*weights, rtol=1e-9)
-    unscaled = synthesise(COUPLED, Q, OMEGA, 1.0, **kind)  # twice as large for both
-    assert unscaled.value == pytest.approx(one.value, rel=1e-6)
 
 
 def singular(dead):
@@ -91,26 +76,18 @@ REFUSED = [  # arguments, and how the message begins
     ({"scale": [1.0, 0.0]}, "scale = "),
     ({"P": FEW}, "P is known at 3 frequencies"),
     ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts"),
-    ({"P": control.frd(LAG, OMEGA / 2)}, "P.dt = 2.0 differs from Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),
     ({"P": []}, "P = .* holds no plant"),
-    ({"P": [COUPLED, SAMPLES[:, :1, :1]]}, r"P\[1\] has shape"),
     ({"P": singular(np.s_[:, 0])}, "P is singular at omega = "),
     ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
     ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, "P.B has 1 values"),
     ({"uncertainty": np.full(60, -0.1)}, "uncertainty reaches -0.1"),
     ({"Q": np.zeros(60), "objective": "peak"}, "Q has a gain of 0 at most"),
-    ({"Q": zero_phase_butterworth(2, 0.1, 0.5)}, "P.Ts = 1.0, Q.Ts = 0.5"),
-    ({"order": 61}, "order = 61"),
     ({"order": 301}, "order = 301 is more than 300"),
-    ({"M_max": 1.0}, "M_max = 1.0"),
     ({"band": (1e-4, 0.5)}, "band = .* within omega"),
     ({"band": (0.051, 0.052)}, "band = .* contains none"),
     ({"reference": np.ones((9, 2))}, "reference takes .* band = .0.001, 0.1. and"),
-    (OF_TASK | {"objective": "peak"}, "reference takes .* objective = 'peak'"),
     (OF_TASK | {"reference": np.zeros((9, 2))}, "reference leaves no error"),
-    (OF_TASK | {"reference": LABELLED}, r"reference holds the signals \['a', 'b'\]"),
-    (OF_TASK | {"Q": (OMEGA > 9) * 1e-9}, "Q has a gain of 0 at most"),
 ]
 
 

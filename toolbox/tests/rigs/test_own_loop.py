@@ -32,36 +32,28 @@ def response(w):
 
 
 def test_a_loop_that_is_known_by_p_is_simulated():
-    run = run_trials(KNOWN, LAW, REFERENCE, trials=5)
-    assert "u" not in run and "delta" not in run and run.attrs["Ts"] == 0.1
+    run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
     v = np.zeros_like(REFERENCE)
-    for k in range(5):
+    for k in range(3):
         y = response(REFERENCE + v)
         np.testing.assert_allclose(run.y[k], y, atol=1e-12)
         v = LAW.next(v, REFERENCE - y)
     x, noise = np.array([1.0, -1.0]), np.random.default_rng(0).random((1, 150, 2))
     start = run_trials(KNOWN, LAW, REFERENCE, None, 1, initial_state=x, noise=noise)
     np.testing.assert_allclose(start.y[0, 0], P.C @ x + noise[0, 0])
-    other = run_trials(KNOWN, LAW, REFERENCE, trials=1, plant=2 * P)
-    np.testing.assert_allclose(other.y[0], 2 * run.y[0])
 
 
-@pytest.mark.parametrize(("loop", "model"), [(KNOWN, P), (NAMED, UNNAMED)])
-def test_it_learns_on_its_rig_as_in_the_simulation(loop, model, tmp_path):
+def test_it_learns_on_its_rig_as_in_the_simulation(tmp_path):
     path = tmp_path / "log.csv"
-    log = record(RestartingModel(model), loop, LAW, REFERENCE, trials=3, path=path)
+    log = record(RestartingModel(UNNAMED), NAMED, LAW, REFERENCE, trials=3, path=path)
     run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
     for name in ("v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-12)
     assert "u" not in log and "control" not in log.coords
     assert load_log(path).identical(log)
-    noted = loop_of(log)
-    assert (noted.Ts, noted.outputs, noted.units) == (loop.Ts, loop.outputs, loop.units)
-    more = record(RestartingModel(model), loop, LAW, REFERENCE, trials=4, path=path)
-    assert more.isel(trial=slice(3)).identical(log)
-    replayed = replay(log)
-    assert not replayed.departure.values.any()
-    assert (replayed.simulated is None) == (replayed.fit is None) == (loop.P is None)
+    noted, replayed = loop_of(log), replay(log)
+    assert (noted.Ts, noted.outputs, noted.units) == (NAMED.Ts, NAMED.outputs, NAMED.units)
+    assert not replayed.departure.values.any() and replayed.simulated is replayed.fit is None
 
 
 def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
@@ -75,9 +67,7 @@ def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
     assert np.all(log.u == [0.33, 2.0]) and load_log(path).identical(log)
 
 
-@pytest.mark.parametrize(
-    ("loop", "model", "noise"), [(KNOWN, P, 0.001), (NAMED, UNNAMED, 0.001), (KNOWN, P, 0.0)]
-)
+@pytest.mark.parametrize(("loop", "model", "noise"), [(NAMED, UNNAMED, 0.001), (KNOWN, P, 0.0)])
 def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, model, noise):
     """Without noise rounding is no sign of a loop that is not linear."""
     excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 6)

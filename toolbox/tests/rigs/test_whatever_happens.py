@@ -236,19 +236,16 @@ def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tm
     file = os.open(pipe, os.O_RDWR)
     os.write(file, b"a")
     threading.Timer(5, os.close, [file]).start()
-    columns = {"Ts": 1.0, "outputs": {"y": 0}}
-    for read in (load_log, load_law, lambda path: read_table(path, **columns)):
-        for path in (pipe, tmp_path, Path("/dev/full")):
-            with pytest.raises(ValueError, match="no regular file"):
-                read(path)
     axis, link, names = Axis(), tmp_path / "link", {*os.listdir(tmp_path), "link"}
     link.symlink_to("/dev/full")
     for path in (pipe, tmp_path, link):
+        for read in (load_log, load_law, partial(read_table, Ts=1.0, outputs={"y": 0})):
+            with pytest.raises(ValueError, match="no regular file"):
+                read(path)
         for write in (partial(record, axis, LOOP, LAW, REFERENCE), partial(write_whole, text="")):
-            with pytest.raises(FileExistsError, match=f"{path} is no regular file: choose"):
+            with pytest.raises(FileExistsError, match="is no regular file"):
                 write(path=path)
     assert {*os.listdir(tmp_path)} == names and axis.x == 0
-    assert not os.path.exists("/dev/.full.lock")
 
 
 def test_a_clock_that_gives_no_number_ends_the_trial():
@@ -261,12 +258,12 @@ def test_a_clock_that_gives_no_number_ends_the_trial():
 
 
 def test_raw_data_are_not_written_over(tmp_path):
-    raw, log, empty = (tmp_path / name for name in ("raw.csv", "log.csv", "empty.csv"))
+    raw, log = tmp_path / "raw.csv", tmp_path / "log.csv"
     raw.write_text("t,u,y\n0,1,0\n1,1,0.5\n2,1,0.75\n")
     table = read_table(raw, time="t", inputs={"u": "u"}, outputs={"y": "y"})
     with pytest.raises(ValueError, match=r"path = .*raw\.csv' is a file of another kind"):
         save_log(table, raw)
-    empty.touch()
-    for path in (log, log, empty):
-        save_log(table, path)
-    assert raw.read_text().startswith("t,u,y") and load_log(log).identical(load_log(empty))
+    log.touch()
+    for _ in range(2):  # what is empty, or a log, is
+        save_log(table, log)
+    assert raw.read_text().startswith("t,u,y") and load_log(log).identical(table)

@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
+from ilctools.models import sampled_plant
 
 POINTS = 50_000
 PASSED = 1 + 1e-6
@@ -25,10 +26,7 @@ def plant(rng, m):
             r, angle = rng.uniform(0.8, 0.98), rng.uniform(0.5, 2.5)
             entry += control.tf([0.3 * gain * (1 - r), 0], [1, -2 * r * np.cos(angle), r**2], 1.0)
         entries[i, j] = entry * control.tf([1], [1, 0], 1.0) ** int(rng.integers(0, 3))
-    apart = control.append(*(control.ss(entry) for entry in entries.ravel()))
-    split, joined = np.tile(np.eye(m), (m, 1)), np.repeat(np.eye(m), m, axis=1)
-    A, B, C, D = apart.A, apart.B @ split, joined @ apart.C, joined @ apart.D @ split
-    return control.ss(A, B, C, D, 1.0), entries
+    return sampled_plant(control.combine_tf(entries)), entries
 
 
 def response(entries, omega):
@@ -66,8 +64,6 @@ def posed(seed):
 def reached(M, L, rho):
     """max over x of |M x| + rho |L x|, from below, by power iteration from two starts."""
     best = np.linalg.norm(M, 2, axis=(1, 2))
-    if not rho.any():
-        return best
     for G in (M, L):
         x = np.linalg.svd(G)[2][:, 0].conj()[..., None]
         for _ in range(40):
@@ -109,8 +105,10 @@ def judged(design, plants, truth, Q, omega, radius, said):
     return worst, np.linalg.norm(L[high], 2, axis=(1, 2)).max()
 
 
-def exceeded(seed):
-    """By which factors M and L exceed rate and peak as certified, and the bounds asked for."""
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", [3, 4, 8, 13])  # none of which takes long
+def test_no_certificate_is_exceeded(seed):
+    """Nor do rate and peak as certified exceed the bounds asked for."""
     plants, truth, Q, omega, asked = posed(seed)
     try:
         design = synthesise(plants, Q, omega, 1.0, **asked)
@@ -121,13 +119,4 @@ def exceeded(seed):
     most = certificate.all_M, certificate.all_L
     M, L = judged(design, plants, truth, Q, omega, radius, most[0])
     L_max = design.problem.L_max
-    return M / most[0], L / most[1], most[0] / asked["M_max"], most[1] / L_max
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [3, 4, 8, 13])  # none of which takes long
-def test_no_certificate_is_exceeded(seed):
-    try:
-        assert max(exceeded(seed)) <= PASSED
-    except InfeasibleError:
-        pytest.skip("infeasible")
+    assert max(M / most[0], L / most[1], most[0] / asked["M_max"], most[1] / L_max) <= PASSED

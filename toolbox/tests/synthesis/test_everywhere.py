@@ -8,10 +8,8 @@ import pytest
 from paper import paper_choices
 from plants import bump, furnace, lags, sigma_of_M
 
-from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
+from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.errors import SolverError
-from ilctools.problem.pose import pose
-from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis import everywhere
 
 PROVEN = 1 + 1e-9  # what the bounds may be passed by: rounding
@@ -41,8 +39,7 @@ def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega):
     assert judged(on_grid, loop, Q, at)[1] > 50.03  # the ledger's 1.0007
     bounds = replace(on_grid.problem.bounds, everywhere=True)
     asked = replace(on_grid.problem, bounds=bounds)
-    failures = replace(on_grid.certificate, problem=asked).failures
-    assert on_grid.certificate.failures == [] and failures[0].code == "L everywhere"
+    assert replace(on_grid.certificate, problem=asked).failures[0].code == "L everywhere"
     M, L = judged(design, loop, Q, at)
     assert M <= 0.9 * PROVEN and 49.99 < L <= 50 * PROVEN
     assert value <= design.value <= value * (1 + 1e-4)  # by a grid for the bounds 1e-5 lower
@@ -60,24 +57,12 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q):
     assert design.value == pytest.approx(LEAST, rel=1e-5)
 
 
-def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
-    """Where the first plant alone keeps them, too."""
-    plants, grid = [loop.P, 1.08 * loop.P], np.geomspace(1e-4, np.pi, 40)
-    design = synthesise(plants, Q, grid, everywhere=True, M_max=0.93, **PAPER)
-    for plant in plants:
-        M, L = judged(design, plant, Q, dense(design))
-        assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
-
-
 def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
     """On 40 frequencies 0.8222 can be met."""
     grid = np.geomspace(1e-4, np.pi, 40)
-    synthesise(loop, Q, grid, M_max=0.8235, **PAPER)
     with pytest.raises(InfeasibleError, match="leave `everywhere` out") as error:
         synthesise(loop, Q, grid, M_max=0.8235, everywhere=True, **PAPER)
     assert error.value.smallest_M_max == pytest.approx(LEAST, rel=3e-5)
-    feasible = synthesise(loop, Q, grid, M_max=0.8248, everywhere=True, **PAPER)
-    assert feasible.certificate.proven
 
 
 def test_a_peak_that_is_rounding_has_no_crests():
@@ -108,15 +93,7 @@ def test_where_rounds_do_not_suffice_it_says_what_may_help(loop, Q, monkeypatch)
         synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), everywhere=True, **PAPER)
 
 
-def test_the_least_gain_is_that_at_every_frequency(loop, Q):
-    problem = pose(loop, Q, np.geomspace(1e-4, np.pi, 40), L_max=100.0, everywhere=True)
-    problem = replace(problem, objective=replace(problem.objective, kind="gain"))
-    _, found = everywhere.solve_everywhere(problem)
-    L = LearningFilter(found.coefficients, 1.0).frequency_response(np.linspace(0, np.pi, 20001))
-    assert largest_singular_values(L).max() <= 100 * found.largest * PROVEN
-
-
-def test_a_reference_goes_with_everywhere_and_without_Q():
+def test_a_reference_goes_with_everywhere():
     """Added frequencies have no weight."""
     P, Q, omega = lags(), zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(1e-3, np.pi, 100)
     choices = {"order": 6, "L_max": 50.0, "reference": bump(300, [1.0, 2.0])}
@@ -126,6 +103,3 @@ def test_a_reference_goes_with_everywhere_and_without_Q():
     assert design.certificate.all_M <= 0.9 * (1 + 1e-6) and len(grid.omega) > 100
     assert {*grid.omega[grid.objective.weights > 0]} <= {*omega}
     assert design.value >= plain.value * (1 - 1e-9)
-    chosen = synthesise([P, P], None, omega, reference=choices["reference"])
-    assert chosen.problem.lowpass.cutoff > 0.02 and chosen.certificate.predicted[2] > 0
-    assert np.isfinite(chosen.certificate.lower_bound) and chosen.problem.order == 21  # K of B K

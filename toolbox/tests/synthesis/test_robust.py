@@ -9,11 +9,6 @@ from problems import optimum
 
 from ilctools import InfeasibleError, synthesise
 from ilctools.evidence.optimality import lower_bound
-from ilctools.problem.pose import pose
-from ilctools.singular_values import largest_singular_values
-from ilctools.synthesis.cuts import solve
-from ilctools.synthesis.formulate import formulate
-from ilctools.synthesis.solver.interior_point import minimise
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*between the frequencies omega")
 SHAPES = [(1, "full"), (2, "full"), (2, "diagonal")]
@@ -22,7 +17,7 @@ OTHERS = 3
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}
 
 
-def question(m, kind, seed, n=8):
+def question(m, kind, seed, n=5):
     """Plants, Q, frequencies and choices for which the bounds on more than one plant matter."""
     P, Q, omega = random_response(seed, m, n)
     rng = np.random.default_rng(seed)
@@ -87,24 +82,6 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
         assert ours.value == pytest.approx(weights @ sigma, rel=1e-9)
     if kind != "plain" and theirs > 1e-3:
         check_multipliers(problem, theirs, U, V, cuts)
-
-
-@pytest.mark.parametrize("objective", ["sum", "peak"])
-def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
-    P, Q, omega, choices = question(2, "plants", 5)
-    problem = pose(P, Q, omega, 1.0, **choices, objective=objective, M_max=0.9)
-    plant, frequency = np.indices((OTHERS, len(omega))).reshape(2, -1)
-    values = []
-    some = solve(problem)
-    whole = formulate(problem, plant + 1, frequency)
-    for solution in (whole.solution(minimise(whole.program)), some):
-        L = problem.L(solution)
-        sigma = [largest_singular_values(problem.M(L, k)) for k in range(1 + OTHERS)]
-        largest = np.max(sigma)
-        assert largest <= 0.9 * (1 + 1e-9)
-        values.append(largest if objective == "peak" else problem.objective.value(sigma[0]))
-    assert values[1] == pytest.approx(values[0], rel=1e-7)
-    assert some.cuts is None or len(some.cuts.plant) < OTHERS * len(omega)
 
 
 def test_what_stands_in_the_way_is_named():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from paper import paper_choices
 from plants import half, random_response, response_of, sigma_of_M
 
 from ilctools import synthesise
@@ -30,18 +29,6 @@ def test_synthesise_finds_its_optimum(L_max, m, structure, objective):
     design = synthesise(P, Q, omega, 1.0, **choices)
     assert design.value == pytest.approx(value, rel=1e-5)
     assert L_max is None or design.certificate.grid_L > 0.99 * L_max  # it counts
-
-
-@pytest.mark.parametrize(("structure", "objective"), [("diagonal", "sum"), ("full", "peak")])
-def test_it_is_that_of_the_papers_problems(loop, Q, structure, objective):
-    # so fine at the end that the bound on L needs no more
-    omega = np.union1d(np.geomspace(1e-4, 0.1, 30), np.linspace(0.1, np.pi, 30))
-    choices = paper_choices(structure=structure, objective=objective)
-    P, of_Q = loop.frequency_response(omega), Q.frequency_response(omega)
-    _, value = statement(P, of_Q, omega, 1.0, **choices)
-    design = synthesise(P, of_Q, omega, 1.0, **choices)
-    assert design.value == pytest.approx(value, rel=1e-6)
-    assert design.certificate.gap < 1e-6
 
 
 def test_what_is_infeasible_has_no_value():

@@ -1,8 +1,6 @@
 """Trials of a loop without a model are judged by the P that the law was designed for."""
 
 import warnings
-from dataclasses import replace
-from functools import partial
 
 import control
 import numpy as np
@@ -21,8 +19,6 @@ from ilctools import (
     transfer,
     zero_phase_butterworth,
 )
-from ilctools.trials.diagnosis import GRID, errors_by_octave, known_plants, largest_M, predicted
-from ilctools.trials.rms import rms_by_octave
 
 PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
@@ -49,35 +45,10 @@ def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
     assert not replay(log).warnings  # a log has no P
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("gain", [1.0, 0.92, 1.08])
+@pytest.mark.parametrize(("gain", "seed"), [(1.0, 0), (0.92, 1), (1.08, 2)])
 def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
     with warnings.catch_warnings(action="error"):
         record(axis(gain, seed), LOOP, law, REFERENCE, trials=6)
-
-
-def test_the_radius_allows_for_its_share_of_the_change_of_v(law):
-    log = record(axis(), LOOP, law, REFERENCE, trials=2)
-    sigma, errors = {}, {}
-    for radius in (0.0, RADIUS):
-        region = replace(law.region, radius=np.full(len(law.region.omega), radius))
-        vars(region)["missed"] = np.zeros((1, 200))  # between the samples
-        P = partial(region.anywhere, 0)
-        sigma[radius], trials = largest_M(law, P), predicted(log, law, P)
-        errors[radius] = errors_by_octave(law, sigma[radius], trials, 0, 1)
-    added = errors[RADIUS].predicted - errors[0.0].predicted
-    change = np.diff(log.v.values, axis=0)
-    allowed = np.sum((added * rms_by_octave(log.e.values[0])) ** 2)
-    np.testing.assert_allclose(allowed, RADIUS**2 * np.mean(change**2), rtol=1e-6)
-    L, Q = (np.abs(f.frequency_response(GRID / law.Ts).ravel()) for f in (law.L, law.Q))
-    np.testing.assert_allclose(sigma[RADIUS], sigma[0.0] + Q * RADIUS * L, rtol=1e-9)
-
-
-def test_P_v_is_what_the_plant_makes_of_v_from_rest(law):
-    log = record(axis(), LOOP, law, REFERENCE, trials=2)
-    expected = control.forced_response(PLANT, inputs=log.v.values[1].T).outputs
-    effect = predicted(log, law, *known_plants(law)).effect.values[1].T
-    np.testing.assert_allclose(effect, expected[None], atol=1e-3 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("choices", [{"base": None}, {"scale": [1.0, 3.0], "base": 0.1}])

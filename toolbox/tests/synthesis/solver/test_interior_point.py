@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
 from plants import lag, random_response
-from problems import dense, memory
+from problems import memory
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
 from ilctools.synthesis.formulate import formulate
-from ilctools.synthesis.solver import interior_point, newton
+from ilctools.synthesis.solver import interior_point
 from ilctools.synthesis.statement import statement
 
 
@@ -49,18 +49,6 @@ def test_every_filter_is_certified_or_refused_with_a_reason(
     assert certificate.grid_L <= L_max * (1 + 1e-9)
     scaled = synthesise(P / gain, Q, omega, 1.0, L_max=10.0, **arguments)
     assert scaled.value == pytest.approx(design.value, rel=1e-7, abs=1e-9)
-
-
-@pytest.mark.filterwarnings("ignore:the filter leaves")
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, structure):
-    grid = np.append(omega[:880:4], omega[880:])  # nowhere coarse, even for the longest
-    choices = paper_choices(structure=structure, M_max=0.99995)
-    shortest, longest = (certified(pose(loop, Q, grid, **choices | {"order": n})) for n in (1, 40))
-    # a longer filter can do all that a shorter one can
-    assert longest.value <= shortest.value * (1 + 1e-8)
-    for design in (shortest, longest):
-        assert design.certificate.gap < 1e-7 and design.certificate.grid_M < 1
 
 
 def test_nearly_infeasible_problems_are_solved(loop, Q, omega):
@@ -126,73 +114,30 @@ def test_a_perfect_filter_is_certified(T, order, gain):
     assert design.value - design.certificate.lower_bound <= 1e-9 * idle
 
 
-def small_program(m, structure, objective, robust):
-    """With a radius and two more plants, or without."""
+def small_program(m, structure, objective):
+    """With a radius and two more plants."""
     P, Q, omega = random_response(m, m)
     choices = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
     choices |= {"structure": structure, "objective": objective}
-    if not robust:
-        return formulate(pose(P, Q, omega, 1.0, **choices)).program
     plants, radius = [P, P * 1.05, P * 0.96], np.full(len(omega), 0.05)
     problem = pose(plants, Q, omega, 1.0, uncertainty=radius, **choices)
     return formulate(problem, [1, 2, 1], [3, 3, 7]).program
 
 
-PROGRAMS = [
-    (1, "full", "sum", False),
-    (2, "diagonal", "peak", False),
-    (2, "diagonal", "sum", True),
-    (3, "full", "peak", True),
-]
+PROGRAMS = [(1, "full", "sum"), (2, "diagonal", "sum"), (3, "full", "peak")]
 
 
 @pytest.mark.parametrize("kind", PROGRAMS)
-def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(kind):
+def test_a_whole_step_meets_all_equations_that_are_linear(kind):
+    """Then the gap is the complementarity."""
     program = small_program(*kind)
     p = interior_point.begin(program, np.zeros((len(program.rows), 3)))
-    total = p.room @ p.eta
-    for S, Y in zip(p.S, p.Y, strict=True):
-        total += np.einsum("nij,jin->", dense(*S), Y).real
-    assert p.complementarity == pytest.approx(total, rel=1e-12)
     q = p.moved(interior_point.Newton(p).direction(0.0), 1.0, 1.0)
-    # after a whole step, all equations that are linear hold
     size = max(np.abs(Y).max() for Y in q.Y)
     assert np.abs(q.stationarity).max() < 1e-9 * size
-    of_t = np.zeros(len(program.cost) + 2)
-    for bound, Y in zip(program.bounds, q.Y, strict=True):
-        diagonal = np.einsum("iin->in", Y).real
-        of_b = np.append(bound.of_b, np.ones(bound.F.shape[1])) @ diagonal
-        of_t += np.bincount(bound.level, of_b, len(of_t))
-        np.testing.assert_allclose(bound.of_d @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
-    np.testing.assert_allclose(of_t[:-2] - q.eta, program.cost, atol=1e-9)
-    assert q.objective - q.dual_value == pytest.approx(q.complementarity, abs=1e-9 * total)
-
-
-@pytest.mark.parametrize(("part", "ends"), [(1 / 16, True), (1e-13, False)])
-def test_an_inaccurate_factor_costs_no_accuracy_or_ends_the_method(monkeypatch, part, ends):
-    """With two eigenvalues a sixteenth of what they are plain refinement would diverge."""
-    exact = newton.factorised
-
-    def spoiled(H):
-        w, X = np.linalg.eigh(H)
-        w[-2:] *= part
-        return exact((X * w) @ X.T)
-
-    P, Q, omega = random_response(2, 2)
-    problem = pose(P, Q, omega, 1.0, order=4, L_max=20.0, band=(0.01, 0.3), M_max=0.97)
-    program = formulate(problem).program
-    p = interior_point.begin(program, np.full((len(program.rows), 4), 0.1))
-    tolerance = 1e-10 * p.complementarity / np.linalg.norm(p.x)
-    steps, predictor = [], None
-    for factorised in (exact, spoiled):
-        monkeypatch.setattr(newton, "factorised", factorised)
-        system = interior_point.Newton(p)
-        predictor = predictor or system.direction(0.0)
-        steps.append(system.direction(0.1, predictor, tolerance))
-    assert (steps[1] is not None) is ends
-    if ends:
-        assert np.linalg.norm(p.moved(steps[1], 0, 1).stationarity) <= tolerance
-        np.testing.assert_allclose(steps[1].x, steps[0].x, rtol=1e-6)
+    assert q.objective - q.dual_value == pytest.approx(
+        q.complementarity, abs=1e-9 * p.complementarity
+    )
 
 
 def test_a_failure_is_not_called_infeasible(monkeypatch):
