@@ -6,11 +6,12 @@ import control
 import cvxpy as cp
 import numpy as np
 import pytest
-from plants import lag
+from plants import furnace, lag
 
 from ilctools import (
     InfeasibleError,
     convergence,
+    current_trial_loop,
     least_gain,
     measured_response,
     synthesise,
@@ -113,3 +114,13 @@ def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
 def test_what_the_least_gain_chooses_is_refused():
     with pytest.raises(ValueError, match="L_max = 5"):
         least_gain(LAG, zero_phase_butterworth(2, 0.3, 1.0), L_max=5.0)
+
+
+def test_the_least_gain_of_a_loop_that_can_be_inverted_is_that_of_its_inverse():
+    """The loop around a lag and a delay is b / (z - a) / z^n, its inverse a learning filter."""
+    loop = current_trial_loop(furnace(3, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    omega = np.geomspace(1e-3, np.pi, 100) / 30.0
+    design = least_gain(loop, np.ones(100), omega, 30.0, order=5)
+    inverse = 1 / loop.frequency_response(omega)
+    assert 0 <= design.certificate.lower_bound <= design.value < 1e-9
+    assert design.problem.L_max == pytest.approx(np.abs(inverse).max(), rel=1e-6)
