@@ -161,14 +161,6 @@ def test_a_wrong_number_is_found_in_prose_and_in_captions():
 
 
 @pytest.mark.parametrize(
-    ("value", "shown", "agrees"),
-    [("0.26149", "0.2615", True), ("0.26149", "0.2617", False), ("261", "262", False)],
-)
-def test_a_number_must_agree_to_its_last_digit(value, shown, agrees):
-    assert is_rounding_of(shown, Decimal(value), {1}) == agrees
-
-
-@pytest.mark.parametrize(
     ("markdown", "shown"),
     [
         ("# 4 Ten trials\n\n1. By (39) and Figs. 8 and 11, see [17] in notebook 3", []),

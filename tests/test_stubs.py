@@ -1,6 +1,5 @@
 """An editor completes and checks what `rodlib` gives: stubs and annotations of its doors."""
 
-import ast
 import doctest
 import inspect
 import os
@@ -38,13 +37,6 @@ def test_stubs_are_those_of_the_registry():
     for path, text in stubs.stubs().items():
         assert path.read_text(encoding="utf-8") == text, "make stubs"
     assert all(path.with_name("py.typed").exists() for path in stubs.stubs())
-
-
-def test_a_door_that_is_decorated_keeps_its_annotations():
-    """`wraps` keeps them for those who run it; a checker needs them of the decorator."""
-    tree = ast.parse((TOOLS / "threads.py").read_text("utf-8"))
-    function = next(node for node in tree.body if isinstance(node, ast.FunctionDef))
-    assert ast.unparse(function.returns) == ast.unparse(function.args.args[0].annotation)
 
 
 @pytest.fixture(scope="module")
