@@ -16,7 +16,6 @@ from books import BOOKS, cells, code, prose
 from rodlib.paper import ROOT
 
 PAPER = [name for name in BOOKS if name < "06"]
-SHORT = [name for name in BOOKS if name > "06"]
 PRINTED = range(1, 47)  # equations of the paper
 
 
@@ -43,16 +42,12 @@ def test_every_equation_of_the_paper_has_a_line_of_code():
     assert numbers == {*PRINTED}
 
 
-@pytest.mark.parametrize("name", PAPER)
-def test_a_notebook_of_the_paper_is_short(name):
-    assert 500 <= words(name) <= 1000 and len(BOOKS[name].cells) <= 24
-    for part in ("**Question**", "**You will have seen**", "**Time**", "## The answer", "**Try**"):
-        assert part in prose(name)
-
-
-@pytest.mark.parametrize("name", SHORT)
-def test_a_notebook_beyond_the_paper_is_short(name):
-    assert words(name) <= 900 and len(BOOKS[name].cells) <= 20
+@pytest.mark.parametrize("name", BOOKS)
+def test_a_notebook_is_short(name):
+    most = (1000, 24) if name in PAPER else (900, 20)
+    assert words(name) <= most[0] and len(BOOKS[name].cells) <= most[1]
+    for part in ("**Question**", "## The answer", "**Try**"):
+        assert part in prose(name) or name not in PAPER
 
 
 @pytest.mark.parametrize("name", BOOKS)
@@ -79,11 +74,8 @@ TRIED = [
 ]
 
 
-def outputs(name, parameters, monkeypatch, tmp_path, of=""):
-    """What each cell but the ledger's prints, with other parameters; pictures are not saved.
-
-    Or of those cells alone in which one of some words stands.
-    """
+def outputs(name, parameters, monkeypatch, tmp_path):
+    """What each cell but the ledger's prints, with other parameters; pictures are not saved."""
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
     monkeypatch.chdir(ROOT / "notebooks")
     imports, chosen, *sources, _ = code(name)
@@ -91,7 +83,7 @@ def outputs(name, parameters, monkeypatch, tmp_path, of=""):
     with warnings.catch_warnings(action="ignore"), plt.rc_context():
         exec(f"{imports}\n{chosen}", names)
         names |= parameters | {"save": lambda *_: plt.close()}
-        for source in filter(re.compile(of).search, sources):
+        for source in sources:
             tree, printed = ast.parse(source), io.StringIO()
             if isinstance(last := tree.body[-1], ast.Expr):
                 last.value = ast.Call(ast.Name("print", ast.Load()), [last.value], [])

@@ -24,9 +24,6 @@ from ilctools import (
 )
 from ilctools.errors import RigError
 from rodlib.case import assumed_reference
-from rodlib.paper.repository import ROOT
-from rodlib.paper.rig_logs import PARAMETERS, experiment
-from rodlib.peltier_rig import PeltierRig
 from rodlib.rigs import VirtualRig
 
 
@@ -85,17 +82,6 @@ def test_only_known_disturbances_are_recorded(loop, Q):
     assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
     with pytest.raises(ValueError, match=r"disturbance is not zero for \['Q4'\]"):
         record(driver, loop, law, zeros, np.ones((5, 3)) * [0, 0, 1], 1)
-
-
-def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike():
-    tracked = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(2))
-    whole = experiment()
-    first = {"trials": 2, "disturbance": whole["disturbance"][:2]}
-    law = Law(zero_phase_butterworth(2, 0.1, 1.0), L, limits={})
-    rig = PeltierRig(parameters=PARAMETERS, seed=1)
-    log = record(rig, law=law, **whole | first)
-    for role in tracked.data_vars:
-        np.testing.assert_array_equal(log[role], tracked[role])
 
 
 Q10 = zero_phase_butterworth(2, 0.1, 1.0)
