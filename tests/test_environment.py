@@ -65,12 +65,3 @@ def test_where_uv_cannot_install_pip_does(tmp_path, monkeypatch, uv):
     by_pip.append(str(tmp_path / "environment.lock"))
     assert (by_pip in commands) == bool(uv)
     assert (folder / "ready").exists() and len(commands) == 4 + uv
-
-
-@pytest.mark.parametrize("target", ["gone", ".", None])
-def test_what_stands_in_the_way_is_named(tmp_path, target):
-    way = tmp_path / ".venv"
-    way.symlink_to(target) if target else way.touch()
-    with pytest.raises(SystemExit, match=r"\.venv is no folder, or a link to one: remove it"):
-        environment.create(tmp_path)
-    assert os.path.lexists(way)

@@ -3,7 +3,6 @@
 import control
 import numpy as np
 import pytest
-from rods import PRINTED
 
 from ilctools import LearningFilter, trial_map, trial_norm, trial_operators, zero_phase_butterworth
 from rodlib.paper import published
@@ -43,17 +42,3 @@ def test_the_shortest_trial_has_a_norm():
     norm, before, after = trial_norm(P, Q, L, 1)
     assert norm == pytest.approx(np.linalg.norm(matrix, 2)) and norm > 0
     np.testing.assert_allclose(matrix @ before.ravel(), after.ravel(), atol=1e-14)
-
-
-def test_the_end_of_the_trial_breaks_the_norm_of_lemma_1_and_a_rest_does_not(loop, Q, omega):
-    """With one, it is at most that of Q (I - L P), by which v converges on the whole line."""
-    L = PRINTED
-    norm, _, after = trial_norm(loop.P, Q, L, 400)
-    assert norm == pytest.approx(1.304, abs=1e-3)
-    assert (after[-40:] ** 2).sum() > 0.9 * norm**2
-    assert trial_norm(loop.P, Q, L, 400, trials=2)[0] < 1
-    PL = L.frequency_response(omega) @ loop.frequency_response(omega)
-    without_ends = Q.frequency_response(omega)[:, None, None] * (np.eye(2) - PL)
-    peak = np.linalg.norm(without_ends, 2, axis=(1, 2)).max()
-    assert peak == pytest.approx(0.9361, abs=1e-3)
-    assert 0.98 * peak < trial_norm(loop.P, Q, L, 400, rest=15)[0] < peak

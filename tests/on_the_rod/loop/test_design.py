@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import PUMPS, furnace, random_plant, stage, tanks
+from plants import PUMPS, random_plant, stage, tanks
 from scipy.linalg import block_diag
 
 from ilctools import current_trial_loop
@@ -98,40 +98,6 @@ def test_a_plant_may_be_slow_beside_its_sampling_period(rates, Ts):
     np.testing.assert_allclose(transfer_function, expected, atol=1e-4)
 
 
-def test_names_and_units_are_those_of_the_plant():
-    order = ["pump B", "pump C", "pump A"]
-    loop = current_trial_loop(tanks(), order, units={"left": "cm", "pump A": "ml/s"})
-    assert (loop.controls, loop.disturbances) == (order, ["leak"])
-    assert loop.closed.input_labels == ["w1", "w2", "w3", "leak"]
-    silent = dict.fromkeys(["middle", "right", "pump B", "pump C", "leak"], "")
-    assert loop.units == silent | {"left": "cm", "pump A": "ml/s"}
-
-
-def test_a_transfer_function_is_realised_with_no_more_states_than_it_needs():
-    """Entry by entry the tanks would have 36."""
-    plant = tanks()
-    loop = current_trial_loop(control.ss2tf(plant), PUMPS[::-1])
-    assert loop.plant.nstates == plant.nstates
-    grid = np.geomspace(1e-3, np.pi, 20) / plant.dt
-    expected = frequency_response(plant[:, loop.plant.input_labels], grid)
-    response = frequency_response(loop.plant, grid)
-    # What rounding of the coefficients of a denominator does to it where it is least.
-    denominators = [a for row in control.ss2tf(plant).den_list for a in row]
-    z = np.exp(1j * grid * plant.dt)
-    lost = max(np.abs(a).sum() / np.abs(np.polyval(a, z)).min() for a in denominators)
-    atol = 100 * np.finfo(float).eps * lost * np.abs(expected).max()
-    np.testing.assert_allclose(response, expected, rtol=0, atol=atol)
-
-
-def test_a_long_delay_is_thirty_states_more():
-    loop = current_trial_loop(furnace(30), sizes={"valve": 0.1})
-    assert loop.plant.nstates == 31 and not np.any(loop.plant.D)
-    for samples in (29, 31):
-        assert np.abs(loop.around(furnace(samples)).poles()).max() < 0.97
-    with pytest.raises(ValueError, match="plant makes the loop unstable"):
-        loop.around(furnace(40))
-
-
 def lag(**system):
     matrices = {"A": 0.5, "B": 1, "C": 1, "D": 0, "dt": 1.0} | system
     return control.ss(*matrices.values())
@@ -177,8 +143,6 @@ def test_bad_plants_and_weights_are_refused(plant, asked, message):
 def test_what_is_only_nearly_wrong_is_not_refused(loop):
     hidden = lag(A=[[0.5, 1], [0, 0.2]], B=[[-0.5], [0.25]], C=[[0, 1.0]])
     assert current_trial_loop(hidden).plant.nstates == 2
-    slow = current_trial_loop(loop.plant, loop.controls, Qo=1e-12 * np.eye(12))
-    assert 0 < 1 - np.abs(slow.closed.poles()).max() < 1e-6
     Rs = [[0.05, 1e-9], [0, 0.05]]  # symmetric up to rounding
     skew = current_trial_loop(loop.plant, loop.controls, Rs=Rs)
     np.testing.assert_allclose(skew.Ks, loop.Ks, atol=1e-5)

@@ -14,7 +14,7 @@ from ilctools import ClosedLoop, current_trial_loop, load_log, measured_response
 from ilctools.errors import LogError, RigError
 from ilctools.law.notes import loop_note, loop_of
 from ilctools.measurement.excitation import excitation_of, with_excitation
-from ilctools.measurement.excited import ExcitedResponse, _sparse, excited_response
+from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
 from rodlib import paper_loop, sampled_response
@@ -73,43 +73,33 @@ def off(response, truth):
     return np.linalg.norm(response - truth, 2, axis=(1, 2))
 
 
-@pytest.fixture(scope="module", params=CASES)
-def seeds(request):
-    """A case measured with many seeds, its errors, and that without noise."""
-    make, lowest, highest, hours, sigma = CASES[request.param]
+@pytest.mark.parametrize("name", CASES)
+def test_the_region_covers_the_truth_at_least_as_often_as_it_says(name):
+    """In the Frobenius norm as often; the largest singular value of a 2 x 2 matrix is less.
+
+    Bias is below the noise, and the variance that of the errors.
+    """
+    make, lowest, highest, hours, sigma = CASES[name]
     loop = make()
     excitation = multisine(loop, lowest, highest, 1.0, hours, lines=12)
     settled = answer(loop, excitation.signals)
     noise = noise_of(excitation, sigma, 1, SEEDS)
     noisy = settled + answer(loop, 0 * noise, noise)
-    measured = [estimate(loop, excitation, y) for y in [settled, *noisy]]
+    bias, *measured = [estimate(loop, excitation, y) for y in [settled, *noisy]]
     truth = loop.frequency_response(excitation.omega)
-    bias, *errors = np.array([one.response - truth for one in measured])
-    return measured[1:], np.array(errors), np.linalg.norm(bias, axis=(1, 2))
-
-
-def test_the_region_covers_the_truth_at_least_as_often_as_it_says(seeds):
-    """In the Frobenius norm as often; the largest singular value of a 2 x 2 matrix is less."""
-    measured, errors, _ = seeds
+    errors = np.array([one.response - truth for one in measured])
+    power = np.mean(np.linalg.norm(errors, axis=(2, 3)) ** 2, axis=0)
+    assert np.all(np.linalg.norm(bias.response - truth, axis=(1, 2)) < np.sqrt(power) / 3)
+    for kind in ("noise", "error"):
+        estimated = np.mean([getattr(one, kind) ** 2 for one in measured], axis=0)
+        assert estimated.sum() / power.sum() == pytest.approx(1, abs=0.15)
+    # the noise of the furnace falls by 4 between two lines, which a straight line does not
+    assert 0.5 < np.min(estimated / power) < np.max(estimated / power) < 2
     radii = [one.radius(0.9) for one in measured]
     for norm, least, most in ((2, 0.89, 1), ("fro", 0.87, 0.93)):
         covered = np.linalg.norm(errors, norm, axis=(2, 3)) <= radii
         assert least <= covered.mean() <= most
         assert covered.sum(axis=0).min() >= binom.ppf(5e-4, SEEDS, 0.9)
-
-
-def test_bias_is_below_the_noise_and_the_variance_is_that_of_the_errors(seeds):
-    measured, errors, bias = seeds
-    power = np.mean(np.linalg.norm(errors, axis=(2, 3)) ** 2, axis=0)
-    assert np.all(bias < np.sqrt(power) / 3)
-    by_noise, by_both = (
-        np.mean([getattr(one, kind) ** 2 for one in measured], axis=0)
-        for kind in ("noise", "error")
-    )
-    for estimated in (by_noise, by_both):
-        assert estimated.sum() / power.sum() == pytest.approx(1, abs=0.15)
-    # the noise of the furnace falls by 4 between two lines, which a straight line does not
-    assert 0.5 < np.min(by_both / power) < np.max(by_both / power) < 2
 
 
 def lags(u):
@@ -125,17 +115,9 @@ def resonance(u):
     return lfilter([0, 0.07], [1, -1.94 * np.cos(0.3), 0.97**2], u, axis=1)
 
 
-def delayed(u):
-    return np.roll(lfilter([0.3], [1, -0.7], u, axis=1), 20, axis=1)
-
-
 @pytest.mark.parametrize(
     ("plant", "outputs", "bent", "realisations", "hours"),
-    [
-        (lags, ["y1", "y2"], 0.1, 2, 1.4),
-        (resonance, ["y"], 1.0, 2, 0.72),
-        (delayed, ["y"], 0.3, 6, 2.2),
-    ],
+    [(lags, ["y1", "y2"], 0.1, 2, 1.4), (resonance, ["y"], 1.0, 2, 0.72)],
 )
 def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations, hours):
     """Behind w + c w^3; the truth is the mean over the draws of phases, without noise."""
@@ -148,7 +130,7 @@ def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations,
 
     plans = [
         multisine(loop, 0.015, 1.0, 0.5, hours, 40, realisations=realisations, seed=seed)
-        for seed in range(24)
+        for seed in range(16)
     ]
     truth = np.mean([measured(plan, 0.0).response for plan in plans], axis=0)
     found = [measured(plan, 0.003) for plan in plans]
@@ -262,14 +244,6 @@ def test_lines_too_far_apart_for_a_delay_are_reported(lines):
     assert all(text in measured.basis([0.01]) for text in measured.findings)
 
 
-@pytest.mark.parametrize("line", [14, 15])
-def test_a_line_that_no_neighbour_predicts_is_reported(line):
-    omega, loop = np.geomspace(0.01, 1, 30), ClosedLoop(Ts=1.0, outputs=["y"])
-    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 2, 30, 1, 1))
-    P = ExcitedResponse(omega, noise + (np.arange(30) == line)[:, None, None], loop)
-    assert f"{omega[line]:.3g} rad/s" in _sparse(P)
-
-
 def test_wrong_records_are_refused(loop, quick):
     w = quick.signals
     y = answer(loop, w, noise_of(quick, 0.02, 5)[0])
@@ -280,11 +254,8 @@ def test_wrong_records_are_refused(loop, quick):
     for wrong, message in (
         (log_of(loop, quick, gap), "log.y"),
         (log_of(loop, quick, y, broken), "w of y1 is not its excitation"),
-        (log_of(loop, quick, y, w[[0, 0, 2, 3]]), "w of y2 is not its excitation"),
         (log_of(loop, quick, y[:, 1:], w[:, 1:]), "log.v has shape"),
         (without, "not of shake"),
-        (log.assign_attrs(excitation='{"period": 3}'), "excitation"),
-        (log.assign_attrs(actuators='{"Q1": [4, -4]}'), "actuators"),
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(wrong)

@@ -1,6 +1,5 @@
 """Experiments on rigs: as simulated, by names, refused before they begin, safe in the end."""
 
-import sys
 from types import SimpleNamespace
 
 import control
@@ -132,12 +131,6 @@ def test_what_goes_wrong_ends_the_trial_and_the_rig_is_made_safe(loop, Q, tmp_pa
     assert load_log(tmp_path / "log.csv").sizes["trial"] == 1
 
 
-def test_a_reading_that_fails_in_a_pause_is_named(loop, Q):
-    trials = Failing(20 + 2, [0.0]), loop, Law(Q, None), assumed_reference(20), None, 3
-    with pytest.raises(RigError, match="in pause before trial 2, sample 3"):
-        record(*trials, pause=3)
-
-
 def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
     class Unplugged(VirtualRig):
         ambient = np.nan
@@ -154,13 +147,3 @@ def test_samples_that_are_not_on_time_are_reported(loop, Q):
     with pytest.warns(UserWarning, match="trial 1: 2 samples .* by up to 1.45 s"):
         record(Late(), loop, Law(Q, None), np.zeros((20, 2)), None, 1)
     record(VirtualRig(), loop, Law(Q, None), np.zeros((20, 2)), None, 2, pause=3)
-
-
-def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
-    trials = loop, Law(Q, None), np.ones((20, 2)), None, 2
-    record(VirtualRig(), *trials, pause=3)
-    assert capfd.readouterr() == ("", "")
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    record(VirtualRig(), *trials, pause=3)
-    shown = capfd.readouterr().err
-    assert "trial 2 of 2" in shown and "40/40" in shown

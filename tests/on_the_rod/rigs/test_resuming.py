@@ -1,7 +1,5 @@
 """A log is gone on with, by the same experiment only, from a first signal and for references."""
 
-import multiprocessing
-import signal
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -22,7 +20,7 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from rodlib import paper_loop
-from rodlib.rigs import RestartingRig, VirtualRig
+from rodlib.rigs import VirtualRig
 
 LAW = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter(0.4 * np.eye(2)[..., None], 1.0))
 SHORT = {"reference": bump(25, [0.5, 0.2]), "trials": 3, "pause": 2}
@@ -83,32 +81,17 @@ def test_another_experiment_does_not_go_on_with_the_log(loop, tmp_path, changes,
     assert path.read_bytes() == content and rig.time == time
 
 
-def hold(path, began):
-    """Record to a log, in which the first trial never begins."""
+def test_two_do_not_record_to_one_log(loop, tmp_path):
+    """The second is refused before anything is applied."""
+    path, other = tmp_path / "log.csv", VirtualRig()
 
-    class Waiting(RestartingRig):
+    class Shared(Failing):
         def begin(self, trial):
-            began.set()
-            signal.pause()
+            with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
+                record(other, loop, LAW, **SHORT, path=path)
 
-    record(Waiting(), paper_loop(), Law(LAW.Q, None), np.ones((9, 2)), path=path)
-
-
-@pytest.mark.filterwarnings("ignore:.*fork")
-def test_two_processes_do_not_record_to_one_log(loop, tmp_path):
-    """The second is refused before anything is applied; not so after the first was killed."""
-    path, device = tmp_path / "log.csv", VirtualRig()
-    began = (fork := multiprocessing.get_context("fork")).Event()
-    first = fork.Process(target=hold, args=(path, began), daemon=True)
-    first.start()
-    assert began.wait(60)
-    with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
-        record(device, loop, LAW, **SHORT, path=path)
-    first.kill()
-    first.join()
-    assert device.time == 0 and not path.exists()
-    record(device, loop, LAW, **SHORT | {"trials": 1}, path=path)
-    assert path.exists()
+    assert record(Shared(), loop, LAW, **SHORT, path=path).sizes["trial"] == 3
+    assert other.time == 0
 
 
 def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):

@@ -90,19 +90,6 @@ def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, rest):
         np.testing.assert_allclose(T.matvec(before), after, atol=1e-9 * size)
 
 
-def test_units_and_names_are_in_the_dataset(loop, Q):
-    run = run_trials(loop, Law(Q, L), ZERO, None, 2)
-    for name in ("reference", "v", "y", "e"):
-        assert run[name].dims == ("trial", "time", "channel") and run[name].units == "K"
-    assert run.u.units == run.delta.units == "W"
-    assert run.disturbance.dims == ("trial", "time", "source")
-    assert run.disturbance.units == "theta_a: K, Q2: W, Q4: W"
-    assert run.trial.values.tolist() == [1, 2] and run.time.units == "s"
-    names = [run[kind].values.tolist() for kind in ("output", "control", "source")]
-    assert names == [["y1", "y2"], ["Q1", "Q3"], ["theta_a", "Q2", "Q4"]]
-    assert list(run.source_unit.values) == ["K", "W", "W"] and run.attrs == {"Ts": 1.0}
-
-
 def test_a_plant_that_has_no_input_for_a_disturbance_is_not_disturbed():
     loop, rng = current_trial_loop(tanks(), PUMPS), np.random.default_rng(8)
     law = Law(zero_phase_butterworth(2, 0.02, 2.0), None)
@@ -115,8 +102,6 @@ def test_a_plant_that_has_no_input_for_a_disturbance_is_not_disturbed():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"reference": np.zeros((3, 50, 2))}, r"reference has shape \(3, 50, 2\)"),
-        ({"disturbance": np.zeros((3, 50, 3))}, r"disturbance has shape \(3, 50, 3\)"),
         ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),
         ({"initial_state": np.zeros(13)}, r"initial_state has shape \(13,\)"),
         ({"v": np.zeros((2, 50, 2))}, r"v has shape \(2, 50, 2\)"),
