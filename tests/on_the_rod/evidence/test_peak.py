@@ -43,25 +43,6 @@ def test_peak_gain_is_above_and_close_to_brute_force(n, m, scale, seed):
     assert gain <= sigma[-1] * (1 + CLOSE)
 
 
-@given(
-    st.sampled_from([1, 2, 3]), st.sampled_from([1e-2, 1e-4, 1e-8, 1e-10]), st.floats(0.02, 3.12)
-)
-def test_peak_gain_of_resonances_in_series_is_not_too_low(copies, distance, angle):
-    """1 / |z^2 + b z + c|^2 peaks at 1 / ((1 - c)^2 (1 - b^2 / 4c)): exact in fractions."""
-    b, c = -2 * (1 - distance) * np.cos(angle), (1 - distance) ** 2
-    one = control.ss([[-b, -c], [1, 0]], [[1], [0]], [[0, 1]], 0, 1.0)
-    system = one
-    for _ in range(copies - 1):
-        system = one * system
-    rounding = 1e-14 / (distance * np.sin(angle) ** 2) ** copies  # splits a multiple pole
-    assume(rounding < 1e-3)
-    gain, _ = peak_gain(system)
-    b, c = Fraction(b), Fraction(c)
-    inverse = ((1 - c) ** 2 * (1 - b**2 / (4 * c))) ** copies
-    ratio = Fraction(gain) ** 2 * inverse
-    assert 1 - rounding <= ratio <= 1 + 2 * CLOSE + 10 * rounding
-
-
 def modulus_squared(polynomial, t):
     """That of a polynomial, highest power first, at z = (1 + jt)^2 / (1 + t^2), in fractions."""
     real, imag = (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)

@@ -26,16 +26,8 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.models import sampled_plant
-from ilctools.trials.diagnosis import (
-    chance,
-    chance_of_excess,
-    errors_by_octave,
-    known_plants,
-    largest_M,
-    predicted,
-    unexplained,
-)
-from ilctools.trials.rms import harmonics, octaves, rms_by_octave
+from ilctools.trials.diagnosis import chance, chance_of_excess, unexplained
+from ilctools.trials.rms import rms_by_octave
 
 GRID = np.geomspace(1e-4, np.pi, 200)
 
@@ -157,15 +149,6 @@ def test_the_probability_of_an_excess_is_that_of_counting():
         np.testing.assert_allclose(two, 2 * np.append(p, p))
 
 
-@pytest.mark.parametrize("samples", [2, 3, 64, 1023])
-def test_octaves_share_the_mean_square(samples):
-    signal = white(samples, samples, 2)
-    power = rms_by_octave(signal) ** 2
-    assert power.sum() == pytest.approx((signal**2).sum(axis=1).mean(), rel=1e-12)
-    wave = np.cos(2 * np.pi * np.arange(samples) / samples)[:, None]
-    assert np.abs(harmonics(wave)).argmax() == 1 and octaves(samples)[0] == 0
-
-
 def test_other_references_and_noise_alone_are_no_growth(cases, free):
     """Noise alone: the error rises to the level of the noise that was learned."""
     law, amplitude, _ = cases[2]
@@ -206,35 +189,6 @@ def test_a_disturbance_that_grows_by_as_much_in_each_trial_is_no_other_plant(fre
     run = run_trials(loop, replace(law, gain=0.02), *task, 8, noise=noise, plant=loop.P)
     size = rms(run.e).values
     assert size.argmin() == 2 and size[-1] > 1.05 * size.min()
-
-
-def test_ratios_by_octave_are_those_of_M():
-    """Far from the ends e_2 = (M + 1 - Q) e_1: measured of the plant, predicted of the model."""
-    law = replace(furnace_law(5, 0.3, 15, 0.1), gain=0.8)
-    plant, samples = furnace(8, gain=0.5), 4096
-    reference = np.zeros((samples, 1))
-    reference[1500:2000], reference[2200:2260] = bump(500, [10.0]), bump(60, [5.0])
-    with warnings.catch_warnings(action="ignore"):
-        run = run_trials(law.loop, law, reference, trials=2, plant=plant)
-    [P] = known_plants(law)
-    table = errors_by_octave(law, largest_M(law, P), predicted(run, law, P), 0, 1)
-    omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
-    power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
-    Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]
-    octave = np.searchsorted(table.frequency[:-1], omega * (1 + 1e-9))
-    size = rms_by_octave(run.e.values[0])
-    large = np.flatnonzero(size > 1e-3 * size.max())
-    for name, other in (("predicted", None), ("measured", plant)):
-        M = Q * (1 - law.loop.frequency_response(omega, other)[:, 0, 0] * L)
-        change = 1 - law.gain + law.gain * (M + 1 - Q)
-        for b in large:
-            part = octave == b
-            weighted = np.average(np.abs(change[part]) ** 2, weights=power[part])
-            assert table[name][b] == pytest.approx(weighted**0.5, rel=0.02, abs=1e-3)
-            rest = np.average(np.abs(1 - Q[part]) ** 2, weights=power[part]) ** 0.5
-            bound = 1 - law.gain + law.gain * (np.abs(M[part]).max() + rest)
-            if other is None:
-                assert table["bound"][b] == pytest.approx(bound, rel=0.05)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
