@@ -9,18 +9,6 @@ from ilctools.models import frequency_response
 from rodlib import Rod, midr
 
 
-@pytest.mark.parametrize(("degree", "states"), [(1, 4), (3, 10), (8, 25)])
-def test_minimal_realisation_keeps_the_transfer_function(degree, states):
-    plant, omega = midr(Rod(), degree), np.geomspace(1e-4, 1, 7)
-    minimal = minimal_realisation(plant, ["Q1", "Q3"])
-    assert minimal.nstates == states
-    np.testing.assert_allclose(
-        frequency_response(minimal[:, plant.input_labels], omega),
-        frequency_response(plant, omega),
-        atol=1e-9,
-    )
-
-
 @given(st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1))
 def test_hidden_states_of_any_plant_are_removed(n, unreachable, unobservable, seed):
     rng = np.random.default_rng(seed)

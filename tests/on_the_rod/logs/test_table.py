@@ -75,16 +75,6 @@ def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message)
         read(tmp_path, lines)
 
 
-def test_rows_that_are_longer_than_the_titles_do_not_move_columns(tmp_path):
-    """As LabVIEW and R write them, of whose rows only the former have nothing more to say."""
-    ended = read(tmp_path, ["t,level", *(f"{row}," for row in ROWS)])
-    np.testing.assert_array_equal(ended.y[0, :, 0], LEVEL)
-    named = ["t,level", *(f"{k},{row}" for k, row in enumerate(ROWS))]
-    with pytest.warns(pd.errors.ParserWarning, match="loss of data"):
-        read(tmp_path, named)
-    assert read(tmp_path, named, index_col=0).equals(ended)
-
-
 def board(**more):
     columns = {"time": "Time", "outputs": OUTPUTS, "inputs": INPUTS}
     return read_table(BOARD, **columns | more)
@@ -132,8 +122,6 @@ def test_a_data_frame_is_read_as_it_is():
         read_table(frame, **columns, sep=";")
     without = read_table(frame, Ts=0.5, trial=0, outputs={"x": 2})
     np.testing.assert_array_equal(without.time, [0, 0.5, 1, 1.5])
-    with pytest.raises(LogError, match="trial 5 has 3 samples and trial 1 has 4"):
-        read_table(frame[:-1], **columns)
     with pytest.raises(LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"):
         read_table(frame.set_axis(["run", "x", "x"], axis=1), Ts=1.0, outputs={"x": "x"})
 
@@ -144,9 +132,7 @@ def test_a_data_frame_is_read_as_it_is():
         ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
         ({"time": 7}, "time = 7 must be .* from 0 to 6"),
         ({"reference": {"T1": 5}}, "missing are .*'reference_T2'"),
-        ({"v": {"T1": 5, "T2": 6}}, "missing are .*'reference_T1'"),
         ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be"),
-        ({"measured": {3: 2}}, r"names in measured = \[3\]"),
         ({"time": None, "Ts": None}, "Ts = None"),
         ({"units": {"T3": "degC"}}, "units is about"),
         ({"Ts": 1e-3}, r"Ts = 0.001 s \(598 of 598 steps differ\)"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import PUMPS, random_plant, stage, tanks
+from plants import PUMPS, furnace, random_plant, stage, tanks
 from scipy.linalg import block_diag
 
 from ilctools import current_trial_loop
@@ -81,21 +81,13 @@ def test_with_sizes_the_loop_depends_on_neither_units_nor_coordinates(plant, uni
     np.testing.assert_allclose(response / scale, expected / scale, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("rates", "Ts"), [((1.0, 1.0, 1.0), 1e-3), ((500.0, 2000.0), 0.02)])
-def test_a_plant_may_be_slow_beside_its_sampling_period(rates, Ts):
-    """Of which the coefficients of a transfer function hold few digits."""
-    row = control.series(*(control.ss(-rate, rate, 1, 0) for rate in rates))
-    polynomials = np.prod([control.tf([rate], [1, rate]) for rate in rates])
-    loops = []
-    for model in (row, control.tf2ss(polynomials), polynomials):
-        model = control.sample_system(model, Ts, "zoh")
-        (u,), (y,) = model.input_labels, model.output_labels
-        loops.append(current_trial_loop(model, sizes={u: 10.0, y: 1.0}))
-    expected, canonical, transfer_function = (
-        loop.frequency_response(np.geomspace(0.01, 10, 5)) for loop in loops
-    )
-    np.testing.assert_allclose(canonical, expected, atol=1e-8)
-    np.testing.assert_allclose(transfer_function, expected, atol=1e-4)
+def test_a_long_delay_is_thirty_states_more():
+    loop = current_trial_loop(furnace(30), sizes={"valve": 0.1})
+    assert loop.plant.nstates == 31 and not np.any(loop.plant.D)
+    for samples in (29, 31):
+        assert np.abs(loop.around(furnace(samples)).poles()).max() < 0.97
+    with pytest.raises(ValueError, match="plant makes the loop unstable"):
+        loop.around(furnace(40))
 
 
 def lag(**system):

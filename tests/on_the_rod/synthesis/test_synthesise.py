@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ilctools import InfeasibleError, LearningFilter, synthesise
@@ -60,6 +60,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
     assert certified(problem, check=False).certificate.failures
 
 
+@settings(max_examples=5)
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
 def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     """P = G z^-1 has the learning filter G^-1 z, with M = 0."""
@@ -75,9 +76,7 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
 @pytest.mark.parametrize(
     ("changes", "remedy"),
     [
-        ({"M_max": 0.6, "L_max": 1e-9}, "M_max is 1 .*: raise M_max or L_max, take"),
         ({"order": 11, "structure": "diagonal"}, "a longer filter, or a full one, lower"),
-        ({"order": 11}, "take a longer filter, lower"),
         ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or L_max"),
         ({"L_max": None}, r"M_max is 0.5(00001)? .*: raise M_max, take"),  # rounded up
     ],
