@@ -14,6 +14,7 @@ pytest.importorskip("pytest_benchmark")
 import bench_synthesis
 import boards
 import confidence
+import constants
 import peers
 import regions
 import report
@@ -22,19 +23,7 @@ import survey
 import watch
 import whole_way
 
-from ilctools import (
-    ClosedLoop,
-    Law,
-    LearningFilter,
-    rms,
-    run_trials,
-    synthesise,
-    zero_phase_butterworth,
-)
-from rodlib.paper.repository import ROOT
-
-FOLDER = ROOT / "benchmarks"
-SHORT = confidence.multisine(confidence.LOOP, 0.05, 0.3, 5.0, 0.5, lines=6)
+from ilctools import ClosedLoop, Law, LearningFilter, rms, run_trials, zero_phase_butterworth
 
 
 @pytest.fixture
@@ -88,7 +77,8 @@ def test_a_few_cases_run_and_are_counted(name, few, said, page):
 @pytest.mark.filterwarnings("ignore")
 def test_how_often_radii_hold_the_truth_is_counted(page, monkeypatch, capsys):
     """With half an hour of shaking instead of six, two seeds; and with radii that hold nothing."""
-    monkeypatch.setattr(confidence, "EXCITATION", SHORT)
+    short = confidence.multisine(confidence.LOOP, 0.05, 0.3, 5.0, 0.5, lines=6)
+    monkeypatch.setattr(confidence, "EXCITATION", short)
     confidence.main(2)
     own = confidence.response_and_radii(0)[0]
     monkeypatch.setattr(confidence, "response_and_radii", lambda seed: (own, [0, 0, 0]))
@@ -104,6 +94,14 @@ def test_regions_are_counted(monkeypatch):
     assert len(row) == len(regions.TITLES) and row[-1] == "2, 2" and row[3:5] == ["100.0%"] * 2
     row = regions.counted("a loop without its reference")
     assert row[2:8] == [""] * 6 and row[8:10] == ["2", "2"]
+
+
+def test_a_constant_is_changed_and_put_back(monkeypatch):
+    """JOINT is a factor of the radius."""
+    monkeypatch.setattr(constants, "RECORDS", 1)
+    monkeypatch.setattr(constants, "CHOSEN", ("steps",))
+    ((wide, less),), ((radius, off),) = (constants.changed("JOINT", factor) for factor in (2, 1))
+    np.testing.assert_allclose([wide, less], [2 * radius, off / 2])
 
 
 def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkeypatch):
@@ -145,12 +143,6 @@ def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, tmp_path):
     ]
 
 
-def test_make_measure_lists_what_there_is():
-    listed = {line.split("WHAT=")[1].split()[0] for line in runner.listed().splitlines()}
-    others = {"bench_synthesis", "kinds", "plants_of_peers", "report", "runner"}
-    assert listed == {path.stem for path in FOLDER.glob("*.py")} - others
-
-
 def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():
     """Against the simulator of the toolbox: a plant of two channels that is off."""
     case = peers.case_of("plate")
@@ -162,19 +154,3 @@ def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():
     np.testing.assert_allclose(case.errors(Q, L, 1), without_noise, rtol=1e-9)
     np.testing.assert_array_equal(case.noise, peers.case_of("plate").noise)
     assert np.std(case.noise[..., 1]) == pytest.approx(peers.NOISE * 0.6, rel=0.05)
-
-
-def test_an_opponents_least_squares_are_dense_ones_over_the_circle():
-    case = peers.case_of("plate")
-    Q = zero_phase_butterworth(2, case.cutoff, 1.0)
-    opponents = peers.Opponents(synthesise(case.known, Q, order=2).problem, 400)
-    L = opponents.least_squares(np.log10([3, 2, 1e-3]))
-    angles, lags = np.linspace(0, 2 * np.pi, 2 * peers.LINES, endpoint=False), np.arange(-2, 4)
-    P = case.plants[0](np.exp(1j * angles)).transpose(2, 0, 1)
-    weight = Q.frequency_response(np.minimum(angles, 2 * np.pi - angles)) / np.sqrt(len(angles))
-    columns = np.einsum("n,nij,nk->nikj", weight, P, np.exp(1j * np.outer(angles, lags)))
-    ridge = np.sqrt(1e-3) * opponents.size * np.eye(12)
-    matrix = np.vstack([columns.reshape(-1, 12), ridge])
-    target = np.vstack([(weight[:, None, None] * np.eye(2)).reshape(-1, 2), np.zeros((12, 2))])
-    x = np.linalg.lstsq(matrix, target)[0].real.reshape(6, 2, 2)
-    np.testing.assert_allclose(L.coefficients, x.transpose(1, 2, 0), atol=1e-8 * np.abs(x).max())

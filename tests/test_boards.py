@@ -12,16 +12,8 @@ from rodlib.boards import TemperatureControlLab, heat_balance
 
 tclab = pytest.importorskip("tclab")
 
-UNITS = {"T1": "K", "T2": "K", "Q1": "%", "Q2": "%"}
-SIZES = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
 # of the emulator: TCLabModel.update
 TRUE = [200 / 5720, 100 / 5720, 1 / 20, 1 / 100, 140.0]
-ROUGH = [0.03, 0.02, 0.05, 0.0, 100.0]  # of a design before P is measured
-
-
-def loop_of(parameters):
-    model = heat_balance(*parameters, 2.0)
-    return current_trial_loop(model, sizes=SIZES, units=UNITS)
 
 
 @pytest.fixture
@@ -70,18 +62,14 @@ def test_heaters_are_cut_off_where_they_end():
         rig.apply([1, 2, 3])
 
 
-def measure(rest=(50.0, 50.0)):
-    """The loop shaken around a state of rest; its measured response and the true one."""
-    loop = loop_of(ROUGH)
+def test_the_steps_of_the_converter_are_within_the_radius():
+    rough = heat_balance(0.03, 0.02, 0.05, 0.0, 100.0, 2.0)  # of a design before P is measured
+    loop = current_trial_loop(rough, sizes={"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0})
     excitation = multisine(loop, 8e-3, 0.3, [2.5, 1.5], 2.7, lines=16)
-    rig = TemperatureControlLab(rest=rest, wait=3000.0)
+    rig = TemperatureControlLab(rest=(50.0, 50.0), wait=3000.0)
     rig.lab.maxstep = 0.1
     measured = measured_response(shake(rig, loop, excitation))
-    return measured, loop.frequency_response(measured.omega, heat_balance(*TRUE, 2.0))
-
-
-def test_the_steps_of_the_converter_are_within_the_radius():
-    measured, truth = measure()
+    truth = loop.frequency_response(measured.omega, heat_balance(*TRUE, 2.0))
     off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
     assert np.all(off < measured.radius(0.99, jointly=True))
     assert measured.beyond_noise > 0.4 and "of the variance is not linear" in repr(measured)

@@ -1,4 +1,4 @@
-"""The environment: made for one folder, by one process at a time."""
+"""The environment: made for one folder, by uv or by pip."""
 
 import importlib.util
 import os

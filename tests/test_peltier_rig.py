@@ -48,15 +48,6 @@ def test_the_current_is_the_least_that_gives_the_heat_or_the_best(heat, resistan
         assert given_heat == pytest.approx(tried.min()) and given_heat >= heat - 1e-9
 
 
-def test_the_convection_is_that_of_a_plate_in_air():
-    """Nu = 0.54 Ra^(1/4) with air at 300 K, of a plate with the rod's size."""
-    rod, conductivity, viscosity, diffusivity = Rod(), 0.0263, 1.589e-5, 2.25e-5
-    size = rod.length * rod.width / (2 * (rod.length + rod.width))
-    rayleigh = 9.81 / 300 * 10.0 * size**3 / (viscosity * diffusivity)
-    expected = 0.54 * rayleigh**0.25 * conductivity / size
-    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(expected, rel=0.02)
-
-
 def reference_solution(rod, p, currents, ambient_rate, Ts):
     """Readings by scipy, from heat flows in watts and absolute temperatures, one cell at a time."""
     cells, share = rod.sections * p.cells, 1 / p.cells

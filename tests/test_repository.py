@@ -63,14 +63,10 @@ def test_notebooks_are_executed_in_order(name):
 
 @pytest.mark.parametrize("name", BOOKS)
 def test_every_picture_has_a_caption_that_stands_for_it(name):
-    captions = []
-    for cell in cells(name):
-        for k, picture in enumerate(cell.outputs):
-            if "image/png" in picture.get("data", {}):
-                caption = picture.metadata["image/png"]["alt"]
-                assert cell.outputs[k + 1].data["text/markdown"] == f"*{caption}*"
-                captions.append(caption)
-    assert len({*captions}) == len(captions) > 0
+    outputs = [output for cell in cells(name) for output in cell.outputs]
+    pictures = [output for output in outputs if "image/png" in output.get("data", {})]
+    captions = {picture.metadata["image/png"]["alt"] for picture in pictures}
+    assert len(captions) == len(pictures) > 0
     for caption in captions:
         assert 40 <= len(caption) <= 400 and caption.endswith("."), caption
         assert not re.search(r"[$*_`]", caption.replace("σ_max", "")), caption

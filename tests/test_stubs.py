@@ -26,7 +26,6 @@ law: Law = synthesise(paper_loop(Rod()), zero_phase_butterworth(2, 0.1, 1.0)).la
 WRONG = {  # what a checker must name
     "`synthesize`": "from ilctools import synthesize\n",
     "`str`": TYPED + "wrong: str = law\n",
-    "`nxt`": TYPED + "law.nxt\n",
     "`ordr`": TYPED + "synthesise(paper_loop(), None, ordr=3)\n",
     "`Mute`": "import ilctools, rodlib\n\n\nclass Mute:\n    def read(self):\n"
     "        return [0.0]\n\n\nilctools.shake(Mute(), rodlib.paper_loop(), None)\n",

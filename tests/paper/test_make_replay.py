@@ -97,7 +97,7 @@ def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root):
     assert earlier.exists()
 
 
-@pytest.mark.parametrize("name", [ODD, "a\\b.csv", "$(shell touch pwned)"])
+@pytest.mark.parametrize("name", [ODD, "$(shell touch pwned)"])
 def test_make_hands_over_the_path_as_it_is(name, tmp_path):
     if not shutil.which("make"):
         pytest.skip("there is no make")
