@@ -149,6 +149,13 @@ def test_the_probability_of_an_excess_is_that_of_counting():
         np.testing.assert_allclose(two, 2 * np.append(p, p))
 
 
+@pytest.mark.parametrize("samples", [2, 3, 64, 1023])
+def test_octaves_share_the_mean_square(samples):
+    signal = white(samples, samples, 2)
+    power = rms_by_octave(signal) ** 2
+    assert power.sum() == pytest.approx((signal**2).sum(axis=1).mean(), rel=1e-12)
+
+
 def test_other_references_and_noise_alone_are_no_growth(cases, free):
     """Noise alone: the error rises to the level of the noise that was learned."""
     law, amplitude, _ = cases[2]
