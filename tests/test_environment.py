@@ -1,4 +1,4 @@
-"""The environment: made for one folder, by uv or by pip."""
+"""The environment: made for one folder, and ready while it is newer than the lock."""
 
 import importlib.util
 import os
@@ -45,23 +45,3 @@ def test_an_environment_is_ready_while_it_is_complete_its_own_and_newer_than_the
     assert not environment.is_ready(clone)
     ready.unlink()
     assert not environment.is_ready(clone)
-
-
-@pytest.mark.parametrize("uv", [0, 1])
-def test_where_uv_cannot_install_pip_does(tmp_path, monkeypatch, uv):
-    """With uv's exit code, and nothing installed."""
-    (tmp_path / "environment.lock").write_text("uv==1 \\\n    --hash=sha256:0\n")
-    commands, folder = [], tmp_path / ".venv" / "bin"
-    folder.mkdir(parents=True)
-
-    def keep(command):
-        commands.append([str(part) for part in command])
-        failed = uv if commands[-1][0].endswith("uv") else 0
-        return subprocess.CompletedProcess(command, failed)
-
-    monkeypatch.setattr(environment.subprocess, "run", keep)
-    environment.create(tmp_path)
-    by_pip = [str(folder / "python"), *environment.PIP, "--require-hashes", "-r"]
-    by_pip.append(str(tmp_path / "environment.lock"))
-    assert (by_pip in commands) == bool(uv)
-    assert (folder / "ready").exists() and len(commands) == 4 + uv
