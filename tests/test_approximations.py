@@ -52,13 +52,6 @@ def test_error_falls_with_the_order_known_from_theory(rod, method, order, slack)
     assert np.log2(coarse / fine) == pytest.approx(order, abs=slack)
 
 
-def test_modal_series_has_the_exact_poles():
-    wave = np.arange(50) * np.pi / BRASS.length
-    exact = -(BRASS.kappa_2 + BRASS.conductivity * wave**2) / BRASS.kappa_1
-    model = modal_series(BRASS, 50)
-    np.testing.assert_allclose(np.diag(model.A), exact, rtol=1e-12)
-
-
 @given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 3), st.integers(1, 4))
 def test_any_rod_is_stable_has_its_names_and_follows_the_air(rod, sensors, count):
     """And volumes never cool what is heated: off the diagonal of A, in B, C nothing is negative."""

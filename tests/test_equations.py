@@ -16,7 +16,6 @@ from books import BOOKS, cells, code, prose
 from rodlib.paper import ROOT
 
 PAPER = [name for name in BOOKS if name < "06"]
-SHORT = [name for name in BOOKS if name > "06"]
 PRINTED = range(1, 47)  # equations of the paper
 
 
@@ -43,29 +42,11 @@ def test_every_equation_of_the_paper_has_a_line_of_code():
     assert numbers == {*PRINTED}
 
 
-@pytest.mark.parametrize("name", PAPER)
-def test_a_notebook_of_the_paper_is_short(name):
-    assert 500 <= words(name) <= 1000 and len(BOOKS[name].cells) <= 24
-    for part in ("**Question**", "**You will have seen**", "**Time**", "## The answer", "**Try**"):
-        assert part in prose(name)
-
-
-@pytest.mark.parametrize("name", SHORT)
-def test_a_notebook_beyond_the_paper_is_short(name):
-    assert words(name) <= 900 and len(BOOKS[name].cells) <= 20
-
-
-def test_the_paper_is_in_few_lines_and_most_of_them_are_its_mathematics():
-    assert sum(source.count("\n") + 1 for name in PAPER for source in code(name)) <= 1100
-    lines = [
-        line
-        for name in PAPER
-        for source in shown(name)[1:]  # behind the parameters
-        for line in source.splitlines()
-        if line.strip(" )]}")
-    ]
-    reported = re.compile(r"\s*(print|pd\.|f\"|table|rows|columns|errors|import|from|for name, )")
-    assert sum(not reported.match(line) for line in lines) >= 0.6 * len(lines)
+@pytest.mark.parametrize("name", BOOKS)
+def test_a_notebook_is_short(name):
+    most = (1000, 24) if name in PAPER else (900, 20)
+    assert words(name) <= most[0] and len(BOOKS[name].cells) <= most[1]
+    assert name not in PAPER or ("**Question**" in prose(name) and "**Try**" in prose(name))
 
 
 @pytest.mark.parametrize("name", BOOKS)
@@ -92,11 +73,8 @@ TRIED = [
 ]
 
 
-def outputs(name, parameters, monkeypatch, tmp_path, of=""):
-    """What each cell but the ledger's prints, with other parameters; pictures are not saved.
-
-    Or of those cells alone in which one of some words stands.
-    """
+def outputs(name, parameters, monkeypatch, tmp_path):
+    """What each cell but the ledger's prints, with other parameters; pictures are not saved."""
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
     monkeypatch.chdir(ROOT / "notebooks")
     imports, chosen, *sources, _ = code(name)
@@ -104,7 +82,7 @@ def outputs(name, parameters, monkeypatch, tmp_path, of=""):
     with warnings.catch_warnings(action="ignore"), plt.rc_context():
         exec(f"{imports}\n{chosen}", names)
         names |= parameters | {"save": lambda *_: plt.close()}
-        for source in filter(re.compile(of).search, sources):
+        for source in sources:
             tree, printed = ast.parse(source), io.StringIO()
             if isinstance(last := tree.body[-1], ast.Expr):
                 last.value = ast.Call(ast.Name("print", ast.Load()), [last.value], [])
@@ -139,12 +117,3 @@ def test_the_answer_to_the_exercise_prints_what_it_says(name, monkeypatch, capsy
     ((answer, printed),) = ANSWER.findall(prose(name).partition("**Exercise**")[2])
     exec(answer, {})
     assert capsys.readouterr().out == printed
-
-
-def test_a_bound_that_no_filter_keeps_ends_in_a_sentence(tmp_path, monkeypatch):
-    """With these Clarabel fails at (39), which CVXPY reports without a reason."""
-    asked = {"M_max": 0.85, "order": 5, "L_max": 100.0}
-    needed = r"checked|loop = |cvxpy|raise"
-    with pytest.raises(ValueError, match=r"M_max = 0.85 too low: take 0.888 or raise"):
-        for _ in outputs("03-ilc-synthesis", asked, monkeypatch, tmp_path, needed):
-            pass

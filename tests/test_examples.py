@@ -14,7 +14,6 @@ from ilctools.synthesis.result import Synthesis
 
 OTHERS = {"MISMATCHED", "alternatives", "errors"}  # a rod, and rooms
 DOORS = sorted({*ilctools.__all__, *rodlib.__all__} - OTHERS)
-LONGEST = 17  # lines of an example
 NOT_DOORS = {"Synthesis": Synthesis}  # which one gets from a door
 
 
@@ -30,8 +29,7 @@ def test_the_example_of_a_door_runs(name, tmp_path, monkeypatch):
     text = inspect.getdoc(door(name))
     example = doctest.DocTestParser().get_doctest(text, {}, name, None, None)
     assert example.examples and text.rpartition("\n\n")[2].startswith("Examples\n---")
-    lines = sum(step.source.count("\n") for step in example.examples)
-    assert lines <= LONGEST and any(step.want for step in example.examples)
+    assert any(step.want for step in example.examples)
     assert any(name in step.source for step in example.examples)
     said = []
     results = doctest.DocTestRunner().run(example, out=said.append)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from scipy.special import erfc
+from rods import modal_model
 
-from rodlib import Rod, exact_response, sampled_response
+from rodlib import Rod, Specimen, exact_response, sampled_response
 
 
 def aliased(rod, omega, Ts, most=3000):
@@ -34,33 +34,16 @@ def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
         assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
 
 
-def kernel(rod, start, end, place, t):
-    """Share of the heat that is released at a place and is in [start, end] after t, by images."""
-    width, total = np.sqrt(4 * rod.conductivity / rod.kappa_1 * t), 0.0
-    for image in range(-6, 7):
-        for source in (place + 2 * image * rod.length, -place + 2 * image * rod.length):
-            near, far = (start - source) / width, (end - source) / width
-            inside = 2 - erfc(-near) - erfc(far)
-            outside = erfc(np.abs(near)) - erfc(np.abs(far))
-            total = total + np.where(near * far < 0, inside, np.abs(outside)) / 2
-    return total
-
-
 def test_the_sampled_rod_has_eight_zeros_outside_the_unit_circle():
     """docs/proofs.md: the winding number of the determinant of its pulse responses."""
     rod, n = Rod(), 2500
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    t = np.arange(n)[:, None] + (nodes + 1) / 2
-    section = rod.length / 4
-    power = 4 / (rod.width * rod.height * rod.length * rod.kappa_1)
-    decay = power * np.exp(-rod.kappa_2 / rod.kappa_1 * t) * weights / 2
-    g = [
-        [(decay * kernel(rod, i * section, (i + 1) * section, z, t)).sum(axis=1) for i in (0, 2)]
-        for z in rod.sensors
-    ]
-    static = np.sum(g, axis=2)
-    np.testing.assert_allclose(static, exact_response(rod, [0.0])[0].real[:, [0, 2]], rtol=1e-3)
-    determinant = (np.convolve(g[0][0], g[1][1]) - np.convolve(g[0][1], g[1][0]))[:n]
+    model = modal_model(Specimen(rod, (1.0,) * 4), 1.0, 400)
+    powers = np.diag(model.A) ** np.arange(n)[:, None]
+    g = (powers[:, None] * model.C) @ model.B[:, [0, 2]]
+    exact = exact_response(rod, [0.0])[0].real[:, [0, 2]]
+    np.testing.assert_allclose(g.sum(axis=0), exact, rtol=1e-3)
+    products = (np.convolve(g[:, 0, j], g[:, 1, 1 - j]) for j in (0, 1))
+    determinant = np.subtract(*products)[:n]
     angle = np.linspace(0, 2 * np.pi, 100_001)
     on_circle = np.polynomial.polynomial.polyval(np.exp(1j * angle) / 1.02, determinant)
     assert abs(determinant[-1]) / 1.02**n < 1e-6 * np.abs(on_circle).min()

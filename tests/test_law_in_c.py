@@ -85,24 +85,6 @@ def mutated(content, rng):
     return b"".join(pieces)
 
 
-def by_c(program, path, v, e):
-    trial = "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack([v, e]).tolist())
-    call = [program, path]
-    run = subprocess.run(call, input=trial, capture_output=True, text=True, check=True)
-    return np.array([row.split() for row in run.stdout.splitlines()], dtype=float)
-
-
-def test_it_is_that_bit_for_bit_where_sums_are_exact(program, tmp_path):
-    """Python leaves the order of the sum in L to BLAS; of a few binary digits it is no matter."""
-    law = Law(zero_phase_butterworth(2, 0.1, 1.0), EXACT, rest=10)
-    save_law(tmp_path / "law.json", law)
-    v, e = RNG.integers(-1000, 1000, (2, 400, 2)) / 64
-    expected, actual = law.next(v, e), by_c(program, tmp_path / "law.json", v, e)
-    if platform.machine() in ("x86_64", "AMD64"):  # elsewhere scipy may fuse its products
-        np.testing.assert_array_equal(actual, expected)
-    assert np.abs(actual - expected).max() < 1e-13 * np.abs(expected).max()
-
-
 def by_octave(law, v, e, folder):
     """What law.m makes of the file of a law, or an error."""
     octave = shutil.which("octave-cli")
@@ -133,15 +115,10 @@ BEYOND = [
 
 
 @pytest.mark.parametrize("law", BEYOND)
-def test_what_it_does_not_know_it_refuses(sanitized, law, tmp_path):
+def test_what_they_do_not_know_they_refuse(sanitized, law, tmp_path):
     save_law(tmp_path / "law.json", law)
     v, content = np.zeros((20, law.channels)), (tmp_path / "law.json").read_bytes()
     assert outcomes(sanitized, [content], v, v, tmp_path) == [None]
-
-
-@pytest.mark.parametrize("law", BEYOND)
-def test_what_octave_does_not_know_it_refuses(law, tmp_path):
-    v = np.zeros((20, law.channels))
     assert by_octave(law, v, v, tmp_path).startswith("error: law: ")
 
 
@@ -151,10 +128,7 @@ def test_what_octave_does_not_know_it_refuses(law, tmp_path):
         ("1 2\n3 4\n5", "line 3 is no 2 numbers"),
         ("1 2\n3 4x\n5 6\n", "line 2 is no 2 numbers"),
         ("1 2\nnan 4\n", "line 2 is no 2 numbers"),
-        ("1\n2\n3\n4\n", "line 1 is no 2 numbers"),
         ("1 2\n3 4", "line 2 is no 2 numbers, torn"),
-        ("1.5.2\n", "line 1 is no 2 numbers"),
-        ("1 2\n", "the trial has 1 samples"),
         ("", "the trial has 0 samples"),
         ("1 2\n" * (1 << 17) + "1 2\n", "beyond what fits"),
     ],
@@ -165,8 +139,6 @@ def test_a_broken_trial_is_refused(program, tmp_path, trial, message):
     call = [program, tmp_path / "law.json", "2"]
     run = subprocess.run(call, input=trial, capture_output=True, text=True)
     assert run.returncode == 1 and message in run.stderr and not run.stdout
-    whole = subprocess.run(call, input="1 2\n3 4\n", capture_output=True, text=True)
-    assert whole.returncode == 0 and len(whole.stdout.splitlines()) == 2
 
 
 @pytest.mark.parametrize("name", LAWS)

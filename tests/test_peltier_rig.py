@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rods import readings_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 from rodlib import Rod
-from rodlib.peltier_rig import PeltierElement, PeltierParameters, PeltierRig, RestartingPeltierRig
-from rodlib.rigs import RigParameters, VirtualRig
+from rodlib.peltier_rig import PeltierElement, PeltierParameters, PeltierRig
 
 SILENT = PeltierParameters(noise=0, quantum=0, ambient_rate=0)
 ROOM = SILENT.temperature
@@ -48,26 +46,6 @@ def test_the_current_is_the_least_that_gives_the_heat_or_the_best(heat, resistan
     else:
         tried = element.heat(current * np.linspace(0.5, 1.5, 101), ROOM, sink)
         assert given_heat == pytest.approx(tried.min()) and given_heat >= heat - 1e-9
-
-
-def test_the_convection_is_that_of_a_plate_in_air():
-    """Nu = 0.54 Ra^(1/4) with air at 300 K, of a plate with the rod's size."""
-    rod, conductivity, viscosity, diffusivity = Rod(), 0.0263, 1.589e-5, 2.25e-5
-    size = rod.length * rod.width / (2 * (rod.length + rod.width))
-    rayleigh = 9.81 / 300 * 10.0 * size**3 / (viscosity * diffusivity)
-    expected = 0.54 * rayleigh**0.25 * conductivity / size
-    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(expected, rel=0.02)
-
-
-def test_for_small_currents_it_is_the_linear_rig():
-    """Where the sinks stay at the temperature of the room: 64 cells against 300 modes."""
-    poor = PeltierElement(conductance=0.3)
-    rig = PeltierRig(parameters=replace(SILENT, element=poor, fan=1e7, lag=1e-6))
-    ideal = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
-    linear = VirtualRig(rig.linearised, ideal)
-    commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(25, axis=0)
-    small, expected = readings_of(rig, commands), readings_of(linear, commands)
-    np.testing.assert_allclose(small, expected, atol=3e-3 * np.abs(expected).max())
 
 
 def reference_solution(rod, p, currents, ambient_rate, Ts):
@@ -130,25 +108,3 @@ def test_a_current_stays_within_its_limit_and_within_what_cools():
         for asked in ([low, high, 0.0, 0.0], [low - 100, high + 100, 0.0, 0.0]):
             rig.apply(asked)
             np.testing.assert_allclose(rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12)
-
-
-def test_rigs_side_by_side_do_what_each_does_alone():
-    """With resistances of their own, at limits and within them; one noise for all."""
-    resistances, maps = [0.0, 2.0, 6.0], [2.0, 0.0, 6.0]
-
-    def rig_of(own, known):
-        element, inner = PeltierElement(resistance=own), PeltierElement(resistance=known)
-        rig = RestartingPeltierRig(parameters=PeltierParameters(element=element, known=inner))
-        rig.begin(2)
-        return rig
-
-    together = rig_of(np.array(resistances)[:, None], np.array(maps)[:, None])
-    alone = [rig_of(*pair) for pair in zip(resistances, maps, strict=True)]
-    commands = np.random.default_rng(0).uniform(-100, 200, (12, 3, 4)).repeat(10, axis=0)
-    readings, clipped = readings_of(together, commands), 0
-    for i, rig in enumerate(alone):
-        expected = readings_of(rig, commands[:, i])
-        np.testing.assert_allclose(readings[1:, i], expected[1:], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(together.currents[i], rig.currents, atol=1e-8)
-        clipped += np.abs(rig.currents).max() == 6.0
-    assert clipped > 0

@@ -158,25 +158,3 @@ def test_a_wrong_number_is_found_in_prose_and_in_captions():
     notebook.cells.append(v4.new_markdown_cell("It is $0.0339$ rad/s in all."))
     notebook.cells.append(v4.new_code_cell(outputs=[caption]))
     assert not_found(notebook, rows_of(name), CONSTANTS[name]) == ["0.0339", "37.3"]
-
-
-@pytest.mark.parametrize(
-    ("value", "shown", "agrees"),
-    [("0.26149", "0.2615", True), ("0.26149", "0.2617", False), ("261", "262", False)],
-)
-def test_a_number_must_agree_to_its_last_digit(value, shown, agrees):
-    assert is_rounding_of(shown, Decimal(value), {1}) == agrees
-
-
-@pytest.mark.parametrize(
-    ("markdown", "shown"),
-    [
-        ("# 4 Ten trials\n\n1. By (39) and Figs. 8 and 11, see [17] in notebook 3", []),
-        ("in 10 trials of a $2\\times2$ matrix and $x_{13}^{25}$", []),
-        ("it dips by 2 mK within 18 s", ["2", "18"]),
-        ("from $10^{-4}$ to $2.5\\cdot10^{-3}$ rad/s", ["1e-4", "2.5e-3"]),
-        ("by 88 to 94 %, or $-0.05\\,I$, and `x = 77`", ["88", "94", "0.05"]),
-    ],
-)
-def test_what_counts_as_a_result(markdown, shown):
-    assert [text for text, _ in numbers(markdown)] == shown

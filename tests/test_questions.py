@@ -31,9 +31,3 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
     assert float(of_one[0]) < 0.5 and float(of_one[1]) > 1 > float(of_both[1])
     whole, part = map(float, re.findall(r"v has ([\d.]+) µm", said))
     assert part < 0.6 * whole
-
-
-def test_each_question_has_an_answer():
-    """In lines that run; one block is for all, six answers are words."""
-    questions = re.findall(r"^## .*\?$", TEXT, flags=re.MULTILINE)
-    assert len(questions) == 17 and len(BLOCKS) == 12

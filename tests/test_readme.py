@@ -1,4 +1,4 @@
-"""README and guide: short, their examples run as they stand, and what they count is so."""
+"""README and guide: short, the example runs as it stands, and what they count is so."""
 
 import re
 
@@ -6,9 +6,8 @@ import matplotlib.image
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from books import BOOKS, ROWS, code
+from books import ROWS, code
 
-from ilctools.logs.replay import rms_by_trial
 from rodlib.paper.ledger import COEFFICIENT, DIFFERS, IN_WORDS, KINDS, REPRODUCED, UNCHECKED
 from rodlib.paper.repository import ROOT
 
@@ -18,58 +17,29 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 CODE = r"^```.*?^```$|^    [^\n]*$|(?<=\])\([^)]*\)|<!--.*?-->"  # blocks of it, and addresses
 
 
-def run(code, folder, monkeypatch):
-    """The names that an example leaves, in a namespace of its own and an empty folder."""
-    monkeypatch.chdir(folder)
-    plt.close("all")
-    names = {"__name__": "__main__"}
-    with plt.rc_context():
-        plt.rcdefaults()  # whatever style earlier tests had
-        exec(code, names)
-    plt.close("all")
-    return names
-
-
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_the_example_goes_from_a_frequency_response_to_a_learned_trial(
     tmp_path, monkeypatch, capsys
 ):
     """The plant was not in the design but for its response, and the picture is the one shown."""
-    names = run(EXAMPLE, tmp_path, monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "__main__"}
+    with plt.rc_context():
+        plt.rcdefaults()  # whatever style earlier tests had
+        exec(EXAMPLE, names)
+    plt.close("all")
     assert "for every plant within the radius" in capsys.readouterr().out
     assert not names["design"].certificate.failures
     millimetres = np.abs(names["run"].e.values).max(axis=(1, 2))
     assert 1 < millimetres[0] < 2 and 1e-3 < millimetres[1] < 2e-3  # up to two, and up to two µm
     shown, drawn = map(matplotlib.image.imread, (ROOT / "docs/axis.png", tmp_path / "axis.png"))
     assert np.abs(shown - drawn).mean() < 0.01  # letters of another version
-    assert len(EXAMPLE.splitlines()) <= 16
 
 
-@pytest.mark.filterwarnings("error::UserWarning")
-def test_the_guide_goes_from_a_rig_to_a_learned_trial(tmp_path, monkeypatch, capsys):
-    """Trials end at the noise of the sensor."""
-    names = run(SNIPPET, tmp_path, monkeypatch)
-    said, certificate = capsys.readouterr().out, names["design"].certificate
-    assert not certificate.failures and certificate.grid_M < 0.9
-    assert "the recorded v is that of the law in every trial" in said
-    size = rms_by_trial(names["run"].e).to_numpy().ravel()
-    assert size[1:].max() < 1.2 * 0.002 < 0.01 * size[0]
-    assert f"{size[-1]:.3g} mm of {size[0]:.3g}" in " ".join(GUIDE.split())
-    assert (tmp_path / "axis.png").stat().st_size > 5000
-
-
-def test_it_is_short_and_has_few_numbers():
-    """At most 900 words of two letters or more, with code in lines; four numbers in a hundred."""
+def test_it_is_short():
+    """At most 900 words of two letters or more, with code in lines."""
     text = re.sub(CODE, "", README, flags=re.MULTILINE | re.DOTALL)
-    words = re.findall(r"[^\W\d_]{2,}", text)
-    numbers = re.findall(r"\d+(?:[.,]\d+)*", re.sub("`[^`]*`", "", text))
-    assert len(words) <= 900
-    assert len(numbers) <= 0.04 * len(words)
-
-
-def test_it_leads_to_every_notebook():
-    table = README.partition("\n## The notebooks\n")[2].partition("\n## ")[0]
-    assert sorted(re.findall(r"\]\(notebooks/([^)]+)\.ipynb\)", table)) == [*BOOKS]
+    assert len(re.findall(r"[^\W\d_]{2,}", text)) <= 900
 
 
 def test_notebook_11_runs_the_lines_of_the_guide():
@@ -94,6 +64,3 @@ def test_what_it_says_first_is_what_the_ledger_counts():
     vague = (ROWS.verdict[kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
     unchecked = (ROWS.verdict == UNCHECKED).sum()
     assert f"choices of ours: {vague}; cannot be checked: {unchecked}" in said[5]
-    off = ROWS.deviation[kind == "coefficient"].replace("", "0").astype(float).abs().max()
-    assert f"differ by {off:g} at most; the printed ones cost up to 3.5e-6" in README
-    assert "higher by 3.5e-6" in " ".join(ROWS.note)

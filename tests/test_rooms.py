@@ -9,23 +9,15 @@ def f(x):  # as it is
 '''
 
 
-def test_only_what_a_reader_has_to_take_in_counts(tmp_path):
-    """def f ( x ) : return 2 * x"""
-    assert rooms.tokens(MODULE) == 10
-    (tmp_path / "house" / "room").mkdir(parents=True)
-    for folder in ("house", "house/room"):
-        (tmp_path / folder / "module.py").write_text(MODULE)
-    assert rooms.counted(tmp_path, {"house": 0, "house/room": 0}) == {"house": 10, "house/room": 10}
-    assert rooms.counted(tmp_path, {"house": 0}) == {"house": 20}
-
-
 def test_a_room_that_has_grown_is_named(tmp_path, capsys):
-    """And rooms that may have more than before where none has less."""
-    (tmp_path / "room").mkdir()
-    (tmp_path / "room" / "module.py").write_text(MODULE)
-    for most, total in ((9, 10), (11, 10), (10, 10)):
-        table = f'[tool.rooms]\ntotal = {total}\n"room" = {most}\n'
+    """Of def f ( x ) : return 2 * x, which alone counts, and of a room within a room."""
+    for folder in ("house", "house/room"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "module.py").write_text(MODULE)
+    assert rooms.counted(tmp_path, {"house": 0}) == {"house": 20}
+    for most, total in ((9, 20), (11, 20), (10, 20)):
+        table = f'[tool.rooms]\ntotal = {total}\n"house" = 10\n"house/room" = {most}\n'
         (tmp_path / "pyproject.toml").write_text(table)
-        assert rooms.main(tmp_path) == (most != total)
-    said = "room: 10 tokens, 9 in pyproject.toml\nthe sum of the rooms: 11 tokens, 10 in"
+        assert rooms.main(tmp_path) == (most != 10)
+    said = "house/room: 10 tokens, 9 in pyproject.toml\nthe sum of the rooms: 21 tokens, 20 in"
     assert capsys.readouterr().out == f"{said} pyproject.toml\n"

@@ -4,14 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rods import modal_model
-from scipy.optimize import brentq
 
 from ilctools import current_trial_loop, minimal_realisation
 from ilctools.loop.closed import controller
 from rodlib import Rod, Specimen, Spread, draw, midr, paper_loop, responses, sampled_response
 from rodlib.specimens import unstable_poles
-
-ALL = Spread.of_all(0.3)
 
 
 def pole_moduli(loop, model):
@@ -20,14 +17,6 @@ def pole_moduli(loop, model):
     plant = model[:, loop.controls]
     closed = np.block([[plant.A, -plant.B @ K], [loop.KL @ plant.C, A - B @ K]])  # (19)
     return np.abs(np.linalg.eigvals(closed))
-
-
-def test_a_rod_is_drawn_by_its_number_alone():
-    first = draw(ALL, 7)
-    assert first == draw(ALL, 7)
-    assert first not in (draw(ALL, 8), draw(ALL, 7, root=1))
-    deviations = np.random.default_rng([7, 0]).uniform(-1, 1, 10)
-    assert first == ALL.specimen(deviations)
 
 
 def test_deviations_name_the_parameters_in_order():
@@ -40,13 +29,10 @@ def test_deviations_name_the_parameters_in_order():
     assert heavy.rod.conductivity == rod.conductivity
     assert heavy.gains == (1, 1.5, 1, 1)
     np.testing.assert_allclose(heavy.rod.sensors, [0.11, 0.29], rtol=1e-14)
-    assert Spread.of_all(0.3).sensors == pytest.approx(0.012)  # of a section of 8 cm
-
-
-def test_without_a_spread_it_is_the_nominal_rod():
-    assert draw(Spread(), 5) == Specimen(Rod(), (1.0,) * 4)
-    rod = Rod(sections=2, sensors=(0.0, 0.1, 0.32))
-    assert draw(Spread(), 5, nominal=rod) == Specimen(rod, (1.0, 1.0))
+    every = Spread.of_all(0.3)
+    assert every.sensors == pytest.approx(0.012)  # of a section of 8 cm
+    deviations = np.random.default_rng([7, 1]).uniform(-1, 1, 10)
+    assert draw(every, 7, root=1) == every.specimen(deviations)
 
 
 def two_sections():
@@ -79,16 +65,3 @@ def test_unstable_poles_are_those_of_a_model_with_hundreds_of_modes(loop):
     assert min(abs(modulus - 1).min() for modulus in moduli) > 1e-6
     assert {0, 1, 2} <= {*expected}
     np.testing.assert_array_equal(unstable_poles(loop, specimens), expected)
-
-
-def test_the_edge_of_stability_is_that_of_the_modes_to_a_ten_thousandth(loop):
-    """Where the model with hundreds of modes has a pole on the unit circle."""
-
-    def excess(gain):
-        model = modal_model(Specimen(Rod(), (gain,) * 4), 1.0, 200)
-        return pole_moduli(loop, model).max() - 1
-
-    edge = brentq(excess, 1.0, 30.0, xtol=1e-9)
-    near = [Specimen(Rod(), (edge * (1 + off),) * 4) for off in (-1e-4, 1e-4)]
-    stable, unstable = unstable_poles(loop, near)
-    assert stable == 0 < unstable

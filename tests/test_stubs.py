@@ -1,6 +1,5 @@
 """An editor completes and checks what `rodlib` gives: stubs and annotations of its doors."""
 
-import ast
 import doctest
 import inspect
 import os
@@ -27,7 +26,6 @@ law: Law = synthesise(paper_loop(Rod()), zero_phase_butterworth(2, 0.1, 1.0)).la
 WRONG = {  # what a checker must name
     "`synthesize`": "from ilctools import synthesize\n",
     "`str`": TYPED + "wrong: str = law\n",
-    "`nxt`": TYPED + "law.nxt\n",
     "`ordr`": TYPED + "synthesise(paper_loop(), None, ordr=3)\n",
     "`Mute`": "import ilctools, rodlib\n\n\nclass Mute:\n    def read(self):\n"
     "        return [0.0]\n\n\nilctools.shake(Mute(), rodlib.paper_loop(), None)\n",
@@ -38,13 +36,6 @@ def test_stubs_are_those_of_the_registry():
     for path, text in stubs.stubs().items():
         assert path.read_text(encoding="utf-8") == text, "make stubs"
     assert all(path.with_name("py.typed").exists() for path in stubs.stubs())
-
-
-def test_a_door_that_is_decorated_keeps_its_annotations():
-    """`wraps` keeps them for those who run it; a checker needs them of the decorator."""
-    tree = ast.parse((TOOLS / "threads.py").read_text("utf-8"))
-    function = next(node for node in tree.body if isinstance(node, ast.FunctionDef))
-    assert ast.unparse(function.returns) == ast.unparse(function.args.args[0].annotation)
 
 
 @pytest.fixture(scope="module")

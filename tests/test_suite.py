@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import suite
 
 REPORT = """<testsuites><testsuite><testcase classname="tests.test_a" name="test_good"/>
@@ -30,15 +28,3 @@ def test_all_parts_run_whatever_fails_and_the_end_names_what_failed(monkeypatch,
     chosen = {"lint": part("lint", 0)}
     assert not suite.main()
     assert capsys.readouterr().out == "all passed\n"
-
-
-def test_another_machine_runs_all_notebooks_and_tests_but_no_browser(tmp_path):
-    here, there = (suite.parts(tmp_path, machine) for machine in (False, True))
-    assert here.keys() - there.keys() == {"lint", "format", "tokens", "browser"}
-    browser = suite.ROOT / "tests" / "browser"
-    assert here["browser"][-1] == browser and here["tests"] == there["tests"]
-    paths = [path for path in there["tests"] if isinstance(path, Path)]
-    notebooks = [path for path in paths if path.suffix == ".ipynb"]
-    assert len(notebooks) == 1 + len([*suite.ROOT.glob("notebooks/*.ipynb")])
-    tests = [p for room in ("tests", "toolbox") for p in suite.ROOT.glob(f"{room}/**/test_*.py")]
-    assert all({path, *path.parents} & {browser, *paths} for path in tests)

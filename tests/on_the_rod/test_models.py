@@ -5,28 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ilctools import minimal_realisation
-from ilctools.models import frequency_response, unreachable_modes
+from ilctools.models import frequency_response
 from rodlib import Rod, midr
-
-
-def test_three_modes_are_unreachable_and_two_of_them_unobservable():
-    plant = midr(Rod())
-    reach, _ = unreachable_modes(plant.A, plant.B[:, [0, 2]])
-    observe, _ = unreachable_modes(plant.A.T, plant.C.T)
-    np.testing.assert_allclose(np.sort(reach.real), [-0.4501, -0.1612, -0.0297], atol=5e-5)
-    np.testing.assert_allclose(np.sort(observe.real), [-0.4501, -0.0297], atol=5e-5)
-
-
-@pytest.mark.parametrize(("degree", "states"), [(1, 4), (3, 10), (8, 25)])
-def test_minimal_realisation_keeps_the_transfer_function(degree, states):
-    plant, omega = midr(Rod(), degree), np.geomspace(1e-4, 1, 7)
-    minimal = minimal_realisation(plant, ["Q1", "Q3"])
-    assert minimal.nstates == states
-    np.testing.assert_allclose(
-        frequency_response(minimal[:, plant.input_labels], omega),
-        frequency_response(plant, omega),
-        atol=1e-9,
-    )
 
 
 @given(st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1))
@@ -44,13 +24,6 @@ def test_hidden_states_of_any_plant_are_removed(n, unreachable, unobservable, se
     np.testing.assert_allclose(
         frequency_response(minimal, [0.3]), frequency_response(plant, [0.3]), atol=1e-8
     )
-
-
-def test_unreachable_jordan_chain_is_removed():
-    A = np.array([[-1.0, 0, 0], [0, -2, 1], [0, 0, -2]])
-    B = np.array([[1.0], [0], [0]])
-    plant = control.ss(A, B, [[1.0, 1, 0]], 0, inputs=["u"])
-    assert minimal_realisation(plant, ["u"]).nstates == 1
 
 
 RESTING = control.ss(-1, [[0.0, 1.0]], 1, 0, inputs=["u", "d"])

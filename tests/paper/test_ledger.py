@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import results
-from books import BOOKS, ROWS, cells
+from books import ROWS, cells
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -68,26 +68,21 @@ def test_tracked_rows_follow_from_what_they_show():
     pd.testing.assert_frame_equal(rows, ROWS[columns], check_dtype=False)
 
 
-def counted(book):
-    """The numbers in the counts of a ledger's rows, by kind, and its page."""
-    rows = book.frame().assign(notebook="01-model", cell="a")
-    counts = ledger.counted(rows)
-    assert [*counts] == [REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED]
-    return counts.T.to_dict("list"), ledger.markdown(rows)
-
-
 def test_what_could_have_differed_is_counted_by_kind():
     book = Ledger("test")
     values = {"length": 0.32, "order": 11, "unity": 0.0, "zero_s_1": 0.10114}
     values |= {"zero_s_2": 0.10114, "damping": 0.05, "fast": 0.04, "full_little": 0.56}
     values |= {"misprint_28": 10, "zero_initial_error": 0.043, "thin_rod": 0.125}
+    values["L_diagonal"] = published.matrix("L_diagonal") + np.eye(2)[..., None]
     for key, value in values.items():
         book.record(key, value)
-    counts, page = counted(book)
-    assert counts == {  # reproduced, differs, in words, cannot be checked
+    rows = book.frame().assign(notebook="01-model", cell="a")
+    counts, page = ledger.counted(rows), ledger.markdown(rows)
+    assert [*counts] == [REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED]
+    assert counts.T.to_dict("list") == {
         "printed": [1, 0, 0, 0],
         "derived": [0, 0, 0, 0],
-        "coefficient": [0, 0, 0, 0],
+        "coefficient": [0, 20, 0, 0],
         "statement": [1, 0, 1, 0],
         "assumed": [1, 1, 0, 1],
         "misprint": [0, 0, 1, 0],
@@ -95,7 +90,7 @@ def test_what_could_have_differed_is_counted_by_kind():
         "identity": [2, 0, 0, 0],
     }
     verdicts = re.findall(r"\| \[(reproduced|differs|in words)\]", page)
-    assert verdicts[:2] == ["differs", "differs"] and "differs" not in verdicts[2:]
+    assert verdicts == sorted(verdicts, key=lambda verdict: verdict != "differs")
 
 
 def test_every_claim_has_a_kind_that_is_counted_or_named():
@@ -110,31 +105,11 @@ def test_every_claim_has_a_kind_that_is_counted_or_named():
         assert not (in_words and re.match(r"[\d.]+$", entry.printed)), entry.key
 
 
-def test_coefficients_of_a_flat_optimum_have_rows_and_are_counted_apart():
-    book = Ledger("03-ilc-synthesis")
-    book.record("L_diagonal", published.matrix("L_diagonal") + np.eye(2)[..., None])
-    book.record("P11", 0.043)
-    counts, _ = counted(book)
-    assert counts["printed"] == [0, 1, 0, 0]
-    assert counts["coefficient"] == [0, 20, 0, 0]
-
-
-def test_the_double_zero_counts_once_and_what_is_imposed_not_at_all():
-    claims = published.claims()
-    zeros = [key for key in claims if re.match("zeros?_[sz]", key)]
-    imposed = [key for key in claims if re.match("peak_L_|gamma_|peak_4546_L", key)]
-    assert len(zeros) == 6 and len(imposed) == 7
-    kinds = [claims[key].kind for key in [*zeros, *imposed]]
-    assert sorted(kinds) == 12 * ["identity"] + ["printed"]
-    assert sum(entry.kind == "derived" for entry in claims.values()) == 10
-
-
 @pytest.mark.parametrize(
     ("key", "computed", "shown", "deviation"),
     [
         ("zero_s_1", 0.10115002, "0.1012", "1.0e-04"),
         ("zero_s_1", 0.10115 - 1e-12, "0.1011", ""),
-        ("L_full[7,L12]", -0.00001, "0.0000", "1.2e-02"),
         ("sensor_1", 0.3750001, "0.3750001", "1.0e-07"),
         ("loop_stable", 0.99999999, "0.99999999", ""),
         ("ambient_zero", -0.0, "0", ""),
@@ -255,31 +230,6 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     (root / "figures" / "ledger.md").write_text("other")
     assert results.main(root / "build", root)
     assert publish(root, capsys) == "different: figures/ledger.md"
-
-
-def test_tables_show_all_rows_those_that_differ_first():
-    book = Ledger("test")
-    for key in ("sigma_P", "P11", "dc_gain", "P22"):
-        book.record(key, 0.01)
-    order = [verdict != DIFFERS for verdict in book.table().verdict]
-    assert order == sorted(order) and len(order) == 4
-
-
-@pytest.mark.parametrize("name", BOOKS)
-def test_notebooks_show_each_of_their_rows(name):
-    """But for entries of matrices, which notebooks 2 and 3 leave to the ledger."""
-    outputs = [
-        output.data["text/html"]
-        for cell in cells(name)
-        if "ledger.table(" in cell.source
-        for output in cell.outputs
-        if "text/html" in output.get("data", {})
-    ]
-    rows = ROWS[ROWS.notebook == name]
-    if name in ("02-feedback", "03-ilc-synthesis"):
-        rows = rows[~rows.key.str.contains("[", regex=False)]
-    # a cell may show something else first
-    assert sum(html.partition("<tbody>")[2].count("<tr>") for html in outputs[-1:]) == len(rows)
 
 
 @pytest.mark.parametrize("lack", ["not in index", "overlapping values", "no markers"])

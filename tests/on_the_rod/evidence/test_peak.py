@@ -9,14 +9,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from plants import random_stable
 
-from ilctools import LearningFilter, zero_phase_butterworth
-from ilctools.evidence.peak import CLOSE, peak_of_L, peak_of_M, proven_peak
+from ilctools import zero_phase_butterworth
+from ilctools.evidence.peak import CLOSE, proven_peak
 from ilctools.models import frequency_response
-from ilctools.problem.problem import convergence_matrix
 from ilctools.response.phase import phase, phase_grid
-from ilctools.response.response import axis_of, missed
 from ilctools.singular_values import largest_singular_values
-from rodlib.paper import published
 
 
 def peak_gain(system, Q=None):
@@ -44,25 +41,6 @@ def test_peak_gain_is_above_and_close_to_brute_force(n, m, scale, seed):
     sigma = largest_singular_values(frequency_response(system, angles))
     assert sigma.max() <= gain * (1 + 1e-12)
     assert gain <= sigma[-1] * (1 + CLOSE)
-
-
-@given(
-    st.sampled_from([1, 2, 3]), st.sampled_from([1e-2, 1e-4, 1e-8, 1e-10]), st.floats(0.02, 3.12)
-)
-def test_peak_gain_of_resonances_in_series_is_not_too_low(copies, distance, angle):
-    """1 / |z^2 + b z + c|^2 peaks at 1 / ((1 - c)^2 (1 - b^2 / 4c)): exact in fractions."""
-    b, c = -2 * (1 - distance) * np.cos(angle), (1 - distance) ** 2
-    one = control.ss([[-b, -c], [1, 0]], [[1], [0]], [[0, 1]], 0, 1.0)
-    system = one
-    for _ in range(copies - 1):
-        system = one * system
-    rounding = 1e-14 / (distance * np.sin(angle) ** 2) ** copies  # splits a multiple pole
-    assume(rounding < 1e-3)
-    gain, _ = peak_gain(system)
-    b, c = Fraction(b), Fraction(c)
-    inverse = ((1 - c) ** 2 * (1 - b**2 / (4 * c))) ** copies
-    ratio = Fraction(gain) ** 2 * inverse
-    assert 1 - rounding <= ratio <= 1 + 2 * CLOSE + 10 * rounding
 
 
 def modulus_squared(polynomial, t):
@@ -152,36 +130,3 @@ def test_gains_whose_squares_leave_the_doubles_are_found(gain):
 def test_an_unstable_system_has_no_peak():
     with pytest.raises(ValueError, match="unstable: it has a pole of modulus 1"):
         peak_gain(control.ss(1.0, 1, 1, 0, 1.0))
-
-
-@pytest.mark.parametrize(("name", "order", "cutoff"), [
-    ("L_diagonal", 2, 0.5), ("L_full", 6, 0.02),
-])  # fmt: skip
-def test_the_peaks_of_M_and_L_are_those_of_a_dense_grid(loop, name, order, cutoff):
-    """The poles of a Q of high order are all but one, twice over; the analytic Q does not care."""
-    L = LearningFilter(published.matrix(name), 1.0)
-    Q = zero_phase_butterworth(order, cutoff, 1.0)
-    (gain, place), (gain_L, place_L) = peak_of_M(loop.P, L, Q), peak_of_L(L)
-    dense = np.concatenate([np.geomspace(1e-5, 3.14, 20000), [place, place_L]])
-    response = L.frequency_response(dense)
-    sigma_L = largest_singular_values(response)
-    assert 1 - 1e-13 <= gain_L / sigma_L.max() <= 1 + CLOSE
-    M = convergence_matrix(loop.frequency_response(dense), np.ones(20002), response)
-    sigma_M = largest_singular_values(M)
-    peak = (Q.frequency_response(dense) * sigma_M).max()
-    assert 1 - 1e-11 <= gain / peak <= 1 + CLOSE + 1e-12 / cutoff**2  # rounding
-    analytic = 1 / (1 + (np.tan(dense / 2) / np.tan(cutoff / 2)) ** (2 * order))
-    # the coefficients of Q are rounded
-    assert gain == pytest.approx((analytic * sigma_M).max(), rel=2e-6)
-
-
-@pytest.mark.parametrize("slow", [1.0, 1e-3])
-def test_splines_run_over_the_scale_in_which_they_predict(slow):
-    """A lag on three decades is smooth over log omega, on an even grid of its own over omega."""
-    for omega, scale in (
-        (np.geomspace(0.01, 10, 40), np.log),
-        (np.linspace(0.01, 1, 40), np.asarray),
-    ):
-        P = (1 / (1 + 1j * omega))[:, None, None]
-        chosen = axis_of(slow * omega, P)
-        assert chosen is scale and missed(chosen(slow * omega), P).max() < 0.01

@@ -8,7 +8,7 @@ from ilctools import ClosedLoop, rms, run_trials, synthesise, zero_phase_butterw
 from rodlib import assumed_reference
 
 OF_TRIAL = [1, 2, 3, 5, 10]
-CUTOFFS = {"stage": 60.0, "tanks": 0.1, "furnace": 0.1, "axes": 10.0}
+CUTOFFS = {"stage": 60.0, "furnace": 0.1, "axes": 10.0}
 
 
 def learned(loop, design, reference):

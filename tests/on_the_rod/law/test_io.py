@@ -75,14 +75,6 @@ def test_a_note_that_is_not_a_law_is_refused(loop, Q, trials, note):
         law_of(with_law(trials, wide))
 
 
-def test_a_file_of_filters_alone_leaves_the_limits_to_the_rig(Q, tmp_path):
-    save_law(tmp_path / "law.json", Law(Q, L))
-    content = json.loads((tmp_path / "law.json").read_text())
-    assert content.keys() == {"format", "Ts", "Q", "L", "note", "sections"}
-    law = load_law(tmp_path / "law.json")
-    assert (law.rest, law.gain, law.limits) == (0, 1.0, None)
-
-
 def test_a_file_that_is_not_a_law_is_refused(tmp_path, Q):
     path = tmp_path / "law.json"
     with pytest.raises(ValueError, match="L = None"):

@@ -4,20 +4,17 @@ import warnings
 from dataclasses import replace
 from functools import cache, partial
 
-import control
 import numpy as np
 import pytest
-from plants import LOOPS, ModelRig, axes, half
+from plants import LOOPS, ModelRig, half
 from rods import PRINTED
 from scipy.signal import butter, freqz_sos
 from written_out import simulated
 
 from ilctools import (
-    ClosedLoop,
     Law,
     LearningFilter,
     NormOptimal,
-    convergence,
     load_log,
     record,
     replay,
@@ -135,7 +132,7 @@ def test_a_rig_that_never_rests_is_that_loop_and_its_log_replays(name, limited, 
     assert "departs from the law from trial 3 on" in replay(changed).agreement
 
 
-@pytest.mark.parametrize(("name", "gain"), [("rod", 0.6), ("tanks", 1.0), ("furnace", 1.0)])
+@pytest.mark.parametrize(("name", "gain"), [("rod", 0.6), ("furnace", 1.0)])
 def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gain):
     loop, law = law_for(name)
     law, trials, period = replace(law, gain=gain), 100, 400
@@ -144,30 +141,24 @@ def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gai
     if gain < 1:  # from any start, with any first signal
         start = {"initial_state": np.ones(len(loop.plant.A)), "v": 1 + r}
     e = run_trials(loop, law, r, d, trials, reset=False, **start).e.values
-    free = run_trials(loop, Law(law.Q, None), r, d, trials, reset=False).e.values
-    grid = np.geomspace(1e-4, np.pi, 2000) / loop.Ts
-    gamma = convergence(loop, law.Q, law.L, grid).gamma
-    assert gamma < 1
-    if gain == 1:  # energy, to any time, with f by taps of Q that are not ours
-        e_0, everything = np.concatenate(free), np.concatenate(e)
-        R = len(finite_response(law)) // 2
-        filtered = np.apply_along_axis(np.convolve, 0, e_0, taps(law.Q, R), "same")
-        f = e_0.copy()
-        f[period:] -= filtered[:-period]
-        spent, given = (np.cumsum(np.sum(x**2, axis=1)) for x in (everything, f))
-        assert np.all(np.sqrt(spent) <= np.sqrt(given) / (1 - gamma) * (1 + 1e-4))
-    # the periodic motion: e = M e + (1 - Q) e_0 at every harmonic, Q = 1 at frequency zero
+    free = run_trials(loop, Law(law.Q, None), r, d, 10, reset=False).e.values
+    # at every harmonic, with Q = 1 at frequency zero
     omega = 2 * np.pi * np.fft.rfftfreq(period, loop.Ts)
     omega[0] = 1e-9 / loop.Ts
-    q = law.Q.frequency_response(omega)
-    P, L = loop.frequency_response(omega), law.L.frequency_response(omega)
-    M = q[:, None, None] * (np.eye(r.shape[1]) - P @ L)
-    left = (1 - q)[:, None] * np.fft.rfft(free[-1], axis=0)
-    E = np.linalg.solve(np.eye(r.shape[1]) - M, left[..., None])[..., 0]
-    expected = np.fft.irfft(E, period, axis=0)
-    slowest = 1 - gain + gain * gamma
-    settled = 3 * max(1e-5, slowest**trials) * np.abs(free[0]).max()
+    q, P = law.Q.frequency_response(omega)[:, None, None], loop.frequency_response(omega)
+    one = np.eye(r.shape[1])
+    M = q * (one - P @ law.L.frequency_response(omega))
+    gamma = np.linalg.norm(M, 2, axis=(1, 2)).max()
+    left = (1 - q) * np.fft.rfft(free[-1], axis=0)[..., None]  # e = M e + (1 - Q) e_0
+    expected = np.fft.irfft(np.linalg.solve(one - M, left)[..., 0], period, axis=0)
+    settled = 3 * max(1e-5, (1 - gain + gain * gamma) ** trials) * np.abs(free[0]).max()
     np.testing.assert_allclose(e[-1], expected, atol=settled)
+    if gain == 1:  # the energy, to any time, with f by taps of Q that are not ours
+        f = np.concatenate([free, np.repeat(free[-1:], trials - len(free), axis=0)]).reshape(e.size)
+        filtered = np.convolve(f, taps(law.Q, len(finite_response(law)) // 2), "same")
+        f[period:] -= filtered[:-period]
+        spent, given = np.cumsum(e.ravel() ** 2), np.cumsum(f**2)
+        assert np.all(np.sqrt(spent) <= np.sqrt(given) / (1 - gamma) * (1 + 1e-4))
 
 
 @pytest.mark.parametrize("gain", [0.5, 1e5])
@@ -181,9 +172,8 @@ def test_what_is_cut_off_of_Q_is_negligible_for_M_and_no_more(gain):
             response = np.abs(np.fft.rfft(h, 2**15))  # but for the delay of R samples
             off = np.abs(response - Q.frequency_response(omega)).max()
             assert off <= share * (1 + 1e-6) + 1e-13
-            whole = taps(Q, R + 1)
             assert 2 * np.abs(taps(Q, R + 2000)[:2001]).sum() > 0.99 * share or R == 0
-            np.testing.assert_allclose(h, whole[1:-1], atol=1e-12)
+            np.testing.assert_allclose(h, taps(Q, R), atol=1e-12)
 
 
 def test_a_period_that_is_too_short_and_what_has_no_meaning_are_refused():
@@ -244,23 +234,3 @@ def test_samples_are_due_by_one_clock():
 
     with pytest.warns(UserWarning, match="trial 2: 300 samples were not on time"):
         record(Rig(loop.plant), loop, law, r, trials=2, reset=False)
-
-
-def test_slew_rates_hold_across_borders_of_a_loop_that_is_not_ours():
-    """In simulation and on a rig, alike."""
-    loop, half = ClosedLoop(axes()), LearningFilter(0.5 * np.eye(2)[..., None], 0.1)
-    limits = {name: (-100.0, 100.0, 0.4) for name in loop.commands}
-    law = Law(zero_phase_butterworth(2, 3.0, 0.1), half, limits=limits)
-    r = np.linspace(0, 3, 300)[:, None] * [1.0, 0.5]  # which falls back at every border
-    with warnings.catch_warnings(action="ignore"):
-        run = run_trials(loop, law, r, None, 3, reset=False)
-        log = record(ModelRig(loop.P), loop, law, r, trials=3, reset=False)
-        assert replay(log).departure.to_numpy().max() < 1e-6
-    w = (run.v + run.reference).values.reshape(900, 2)
-    step, applied = 0.4 * loop.Ts, [w[0]]
-    for asked in w[1:]:
-        applied.append(np.clip(asked, applied[-1] - step, applied[-1] + step))
-    assert np.abs(np.array(applied) - w).max() > step
-    y = control.forced_response(loop.P, inputs=np.transpose(applied)).outputs.T
-    assert_close(np.concatenate(run.y.values), y, 1e-9)
-    np.testing.assert_allclose(run.y, log.y, atol=1e-8)

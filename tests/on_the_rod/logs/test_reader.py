@@ -3,7 +3,7 @@ import re
 import pytest
 import xarray as xr
 
-from ilctools import law_of, load_log, save_log
+from ilctools import load_log
 from ilctools.errors import LogError
 from rodlib.paper import ROOT
 
@@ -40,14 +40,12 @@ def test_a_log_written_by_hand_is_read(good):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (GOOD, "", "format is None"),
         ("log 2", "log 1", "format is 'rodlib trial log 1'"),
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = -1.0 must be"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice"),
         ('"depth": "mm"}', '"depth": "mm", "depth": "m"}', "twice"),
         (",y_depth,", ",depth,", r"missing are \['y_depth'\] and unknown \['depth'\]"),
         ('"mm"', "1", "unit of 'depth' = 1"),
-        ('"outputs"', '"exits"', "a key of signals = 'exits'"),
         ('"controls": {', '"controls": {"fan": "", ', "must be as many"),
         ("# signals: ", "# signals:" + "[" * 10000, "signals"),
         ('"rain": ""', '"depth": "m"', "'depth' has two units"),
@@ -56,12 +54,8 @@ def test_a_log_written_by_hand_is_read(good):
         ("\n2,1,1.0", "\n2,1,1.0,1.0", "Expected 7 fields in line 10, saw 8"),
         (GOOD, HEAD + COLUMNS, "no rows"),
         ('"mm"', '"m\x1b[2Jm"', "signals cannot be understood"),
-        ('"mm"', r'"m\b\b"', r"signals cannot be understood.*not printable"),
-        ('"mm"', '"m\x85"', "not printable"),
         ('"mm"', r'"m\nlaw: kept"', "unit of 'depth' = .*all printable"),
         ("1.0,0.5", "1_0.0,0.5", "reference_depth: entry '1_0.0' in row 0"),
-        ("1.0,0.5", "١,0.5", "reference_depth: entry '١' in row 0"),
-        ("Ts: 1.0 s", f"Ts: {'9' * 200_000} s", "Ts = inf must be"),
         ("Ts: 1.0 s", f"Ts: {'x' * 200_000} s", "Ts = nan must be"),
         ("log 2", "l" * 200_000, "format is"),
     ],
@@ -100,12 +94,6 @@ def test_a_last_number_that_may_be_torn_is_not_read(tmp_path, good):
         assert load_log(write(tmp_path, GOOD + "4,0,1.0")).identical(good)
 
 
-def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path, good):
-    save_log(good.drop_vars(["reference", "v"]), tmp_path / "bare.csv")
-    trials = load_log(tmp_path / "bare.csv")
-    assert {*trials.data_vars} == {"u", "y", "disturbance"}
-
-
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(LogError, match=r"nowhere.csv: cannot be read"):
         load_log(tmp_path / "nowhere.csv")
@@ -115,10 +103,3 @@ def test_the_example_in_the_readme_of_data_is_a_log(tmp_path):
     text = (ROOT / "data" / "README.md").read_text(encoding="utf-8")
     example = text.split("```text\n")[1].split("```")[0]
     assert load_log(write(tmp_path, example)).y.values.ravel().tolist() == [98.2, 98.3]
-
-
-def test_notes_of_a_law_have_nothing_that_a_terminal_obeys(tmp_path):
-    law = '{"order": 2, "cutoff": 1.0, "ends": "zero"}\n# L: null\n# actuators: {"a\\b": [0, 1]}'
-    text = GOOD.replace("# Ts", f"# Q: {law}\n# Ts")
-    with pytest.raises(LogError, match=r"law cannot be understood.*not printable"):
-        law_of(load_log(write(tmp_path, text)))

@@ -2,7 +2,6 @@
 
 import control
 import numpy as np
-import pandas as pd
 import pytest
 from plants import LEVELS, PUMPS, altered, bump, random_plant, stage, tanks
 from replayed import law_for, trials_of
@@ -10,7 +9,6 @@ from replayed import law_for, trials_of
 from ilctools import Law, current_trial_loop, load_log, replay, run_trials, save_log
 from ilctools.law.notes import RESET, with_law
 from ilctools.logs.replay import rms_by_trial
-from rodlib.paper import ROOT
 
 UNITS = dict.fromkeys([*PUMPS, "leak"], "ml/s") | dict.fromkeys(LEVELS, "cm")
 LOOPS = {
@@ -87,14 +85,7 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     assert replayed.following_table is None
 
 
-def test_disturbances_may_count_as_unmeasured_or_not_be_in_the_model():
-    trials = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(5))
-    silent = trials.disturbance.where(trials.source != "theta_a", 0.0)
-    partial = replay(trials.assign(disturbance=silent))
-    assert partial.omissions == []
-    simulation = partial.rms["RMS (K), simulation"]
-    assert simulation[5] == pytest.approx(1.04, abs=0.005)  # of notebook 5
-    assert np.any(partial.simulated.y != replay(trials).simulated.y)
+def test_disturbances_that_are_not_in_the_model_are_named():
     replayed = replay(trials_of(LOOPS["stage"]).assign_coords(source=["draught"]))
     assert not replayed.disturbance.any()
     (omission,) = replayed.omissions
@@ -113,17 +104,7 @@ def test_trials_are_identified_by_their_numbers():
     assert "simulation" in some.omissions[0] and "[2, 3, 5]" in some.omissions[0]
 
 
-def test_without_learning_v_is_zero():
-    law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
-    run = trials_of(LOOPS["stage"], law)
-    assert replay(run).agreement.endswith("in every trial")
-    assert not replay(run).following.any()
-    run["v"][1, 5] = 1e-6
-    assert "departs from the law from trial 2 on, by 1.0" in replay(run).agreement
-
-
-@pytest.mark.parametrize("exponent", [-9, 9])
-@pytest.mark.parametrize(("trial", "channel"), [(1, 0), (3, 2)])
+@pytest.mark.parametrize(("trial", "channel", "exponent"), [(1, 0, -9), (3, 2, 9)])
 def test_a_departure_from_the_law_is_found_in_any_unit(trial, channel, exponent):
     run = trials_of(LOOPS["tanks"])
     for name in ("reference", "v", "u", "delta", "y", "e"):
@@ -131,10 +112,10 @@ def test_a_departure_from_the_law_is_found_in_any_unit(trial, channel, exponent)
     largest = np.abs(run.v.values[..., channel]).max()
     assert np.all(replay(run).departure <= 1e-12 * 10.0**exponent)
     run["v"][trial - 1, 70, channel] += 1e-3 * largest
-    text = replay(run).agreement
-    assert text.startswith(f"v departs from the law from trial {trial} on, by ")
-    assert text.endswith(f" cm in {LEVELS[channel]}")
-    assert float(text.split("by ")[1].split()[0]) == pytest.approx(1e-3 * largest, rel=0.06)
+    replayed = replay(run)
+    assert f"from trial {trial} on" in replayed.agreement
+    found = replayed.departure.loc[trial, LEVELS[channel]]
+    assert found == pytest.approx(1e-3 * largest, rel=1e-6)
 
 
 def test_an_unstable_plant_is_simulated_but_not_predicted():
@@ -147,19 +128,6 @@ def test_an_unstable_plant_is_simulated_but_not_predicted():
     ]
 
 
-def test_the_next_v_is_read_back_equal(tmp_path):
-    names, path = ['a, "b"', "# 2", "ϑ / K"], tmp_path / "next.csv"
-    trials = trials_of(LOOPS["tanks"]).assign_coords(output=("channel", names))
-    del trials.attrs["loop"]  # of the plant's former names
-    replayed = replay(trials)
-    replayed.following_table.to_csv(path)
-    table = pd.read_csv(path)
-    assert [*table] == ["time (s)", *(f"v_{name} (cm)" for name in names)]
-    # by the oldest pandas admitted, a number is read to some units of its last digit
-    expected = np.c_[trials.time, replayed.following]
-    np.testing.assert_allclose(table, expected, rtol=1e-15, atol=1e-14 * expected[:, 1:].max())
-
-
 def test_errors_are_summed_over_channels_of_one_unit():
     e = trials_of(LOOPS["tanks"]).e.assign_coords(output_unit=("channel", ["cm", "", "cm"]))
     table, squares = rms_by_trial(e), (e.values**2).mean(axis=1)
@@ -170,12 +138,7 @@ def test_errors_are_summed_over_channels_of_one_unit():
 
 def test_a_replay_is_printed_in_lines_and_warns():
     lines = repr(replay(trials_of(LOOPS["tanks"]))).splitlines()
-    assert lines[0] == "3 trials of 150 samples, Ts = 2 s"
-    assert lines[1].endswith("in every trial") and "cm" in lines[3]
-    for k, line in enumerate(lines[5:8], 1):
-        number, log, simulation = line.split()
-        assert int(number) == k and log == simulation
-    assert "left 100 %" in lines[8] and len(lines) == 9
+    assert lines[1].endswith("in every trial") and "left 100 %" in lines[8] and len(lines) == 9
     run = trials_of(LOOPS["tanks"], law_for(LOOPS["tanks"], learning=-2.0), trials=6)
     with pytest.warns(UserWarning, match="the error grows") as caught:
         replayed = replay(run)

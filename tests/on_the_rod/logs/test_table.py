@@ -3,8 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ilctools import load_log, read_table, save_log
 from ilctools.errors import LogError
@@ -19,51 +17,35 @@ LEVEL = 30 - 0.25 * SAMPLES
 VALVE = 10.0 * (SAMPLES % 8 < 4)
 
 
-@st.composite
-def layouts(draw):
-    """A text as a logger may write it, and the arguments that read it."""
-    sep = draw(st.sampled_from([",", ";", "\t", "|", " "]))
-    decimal = draw(st.sampled_from(".," if sep != "," else "."))
-    title, unit = draw(st.sampled_from([("t [s]", 1), ("t (ms)", 1e-3), ("t_ms", 1e-3), ("t", 0)]))
-    Ts = draw(st.sampled_from([0.02, 60.0]))
-    order = draw(st.permutations(range(4)))
-    above = draw(st.sampled_from([[], ["Logger 1: made by hand", ""]]))
-    encoding = draw(st.sampled_from(["utf-8", "utf-16", "latin-1"]))
-
+@pytest.mark.parametrize(
+    ("sep", "decimal", "encoding", "title", "unit", "above"),
+    [
+        (",", ".", "utf-8", "t[s]", 1, []),
+        (";", ",", "utf-16", "t(ms)", 1e-3, ["Logger 1: made by hand", ""]),
+        ("\t", ",", "latin-1", "t_ms", 1e-3, []),
+        (" ", ".", "utf-8", "t[s]", 1, ["Logger"]),
+    ],
+)
+def test_a_table_is_read_however_it_is_laid_out(
+    tmp_path, sep, decimal, encoding, title, unit, above
+):
     def text(value):
         return f"{value:.6f}".replace(".", decimal)
 
-    def moment(t):  # without a unit, as a date
-        start = pd.Timestamp("2024-02-28T23:59:50")
-        return text(t / unit) if unit else (start + pd.Timedelta(t, "s")).isoformat()
-
-    def line(*entries):
-        return sep.join(entries[k] for k in order)
-
-    rows = zip(Ts * SAMPLES, VALVE, LEVEL, strict=True)
-    rows = [line(moment(t), text(u), text(y), "ok") for t, u, y in rows]
-    names = [title.replace(" ", ""), "valve[%]", "level[°C]", "state"]
-    newline = draw(st.sampled_from(["\n", "\r\n"]))
-    content = newline.join([*above, line(*names), *rows, ""]).encode(encoding)
+    signals = zip(LEVEL, 0.02 / unit * SAMPLES, VALVE, strict=True)
+    rows = [["level[°C]", title, "state", "valve[%]"]]
+    rows += [[text(y), text(t), "ok", text(u)] for y, t, u in signals]
+    content = "\r\n".join([*above, *map(sep.join, rows), ""])
+    (tmp_path / "table.txt").write_bytes(content.encode(encoding))
     options = {"sep": sep, "decimal": decimal, "skiprows": len(above), "encoding": encoding}
-    if not unit:
-        options |= {"parse_dates": ["t"], "date_format": "ISO8601"}
-    columns = draw(st.sampled_from([[*map(order.index, range(3))], [names[0], "valve", "level"]]))
-    return content, columns, options, Ts
-
-
-@settings(max_examples=30)
-@given(layouts())
-def test_a_table_is_read_however_it_is_laid_out(tmp_path_factory, layout):
-    content, (t, u, y), options, Ts = layout
-    path = tmp_path_factory.mktemp("tables") / "table.txt"
-    path.write_bytes(content)
-    log = read_table(path, time=t, inputs={"q": u}, outputs={"h": y}, **options)
-    assert log.attrs["Ts"] == pytest.approx(Ts, rel=1e-9)
-    np.testing.assert_allclose(log.time, Ts * SAMPLES, rtol=1e-9)
-    np.testing.assert_array_equal(log.y[0, :, 0], LEVEL)
-    np.testing.assert_array_equal(log.u[0, :, 0], VALVE)
-    assert log.output_unit.item() == "°C" and "clock" not in log.attrs
+    for y, t, u in ((0, 1, 3), ("level", title, "valve")):
+        asked = {"time": t, "inputs": {"q": u}, "outputs": {"h": y}}
+        log = read_table(tmp_path / "table.txt", **asked, **options)
+        assert log.attrs["Ts"] == pytest.approx(0.02, rel=1e-9) and "clock" not in log.attrs
+        np.testing.assert_allclose(log.time, 0.02 * SAMPLES, rtol=1e-9)
+        np.testing.assert_array_equal(log.y[0, :, 0], LEVEL)
+        np.testing.assert_array_equal(log.u[0, :, 0], VALVE)
+        assert log.output_unit.item() == "°C"
 
 
 ROWS = [f"{0.5 * k},{y}" for k, y in enumerate(LEVEL)]
@@ -80,30 +62,17 @@ def read(folder, lines, **more):
         (["t (K),level", *ROWS], "unit of time = 'K'"),
         (["t,level", "0,1", "1,1.234.5"], "level: entry '1.234.5' in row 1"),
         (["t,level", "0,1", "1,"], "level: entry 'nan' in row 1"),
-        (["t,level", "0,1", "1"], "level: entry 'nan' in row 1"),
         (["t,level", "0,1", "1,1,1"], "Expected 2 fields in line 3"),
         (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 0"),
         (["t;level", "0;1"], r"outputs\['h'\] = 'level' must be .* titles are \['t;level'\]"),
         (["t,level", *ROWS[:5], *ROWS[6:]], "row 5 is 1 s after the row before, where Ts = 0.5 s"),
         (["t,level"], "clock stands still, or there are fewer than two rows"),
-        (["t,level", "2,1", "1,2", "0,1"], "clock runs back within trials: sort"),
         ([], "No columns to parse"),
-        (["PK\x03\x04"], "= 'level' must be"),
     ],
 )
 def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message):
     with pytest.raises(LogError, match=f"table.csv: .*{message}"):
         read(tmp_path, lines)
-
-
-def test_rows_that_are_longer_than_the_titles_do_not_move_columns(tmp_path):
-    """As LabVIEW and R write them, of whose rows only the former have nothing more to say."""
-    ended = read(tmp_path, ["t,level", *(f"{row}," for row in ROWS)])
-    np.testing.assert_array_equal(ended.y[0, :, 0], LEVEL)
-    named = ["t,level", *(f"{k},{row}" for k, row in enumerate(ROWS))]
-    with pytest.warns(pd.errors.ParserWarning, match="loss of data"):
-        read(tmp_path, named)
-    assert read(tmp_path, named, index_col=0).equals(ended)
 
 
 def board(**more):
@@ -121,17 +90,6 @@ def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
     assert load_log(tmp_path / "log.csv").identical(log)
     with pytest.raises(LogError, match=r"format is None.*read_table"):
         load_log(BOARD)
-
-
-def test_one_actuator_and_two_sensors_are_a_log():
-    """What is controlled is chosen by name; the rest stays."""
-    one = {"inputs": {"Q1": "Heater 1"}, "outputs": {"T1": "Temperature 1"}}
-    log = board(**one, measured={"T2": 4}, disturbances={"Q2": 2}, reference={"T1": 5})
-    both = board()
-    np.testing.assert_array_equal(log.measured[..., 0], both.y[..., 1])
-    np.testing.assert_array_equal(log.disturbance[..., 0], both.u[..., 1])
-    np.testing.assert_array_equal(log.e, log.reference - log.y)
-    assert not log.v.any() and log.sensor.values.tolist() == ["T2"]
 
 
 def test_trials_in_a_table_of_others_are_those_that_were_run():
@@ -164,8 +122,6 @@ def test_a_data_frame_is_read_as_it_is():
         read_table(frame, **columns, sep=";")
     without = read_table(frame, Ts=0.5, trial=0, outputs={"x": 2})
     np.testing.assert_array_equal(without.time, [0, 0.5, 1, 1.5])
-    with pytest.raises(LogError, match="trial 5 has 3 samples and trial 1 has 4"):
-        read_table(frame[:-1], **columns)
     with pytest.raises(LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"):
         read_table(frame.set_axis(["run", "x", "x"], axis=1), Ts=1.0, outputs={"x": "x"})
 
@@ -176,9 +132,7 @@ def test_a_data_frame_is_read_as_it_is():
         ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
         ({"time": 7}, "time = 7 must be .* from 0 to 6"),
         ({"reference": {"T1": 5}}, "missing are .*'reference_T2'"),
-        ({"v": {"T1": 5, "T2": 6}}, "missing are .*'reference_T1'"),
         ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be"),
-        ({"measured": {3: 2}}, r"names in measured = \[3\]"),
         ({"time": None, "Ts": None}, "Ts = None"),
         ({"units": {"T3": "degC"}}, "units is about"),
         ({"Ts": 1e-3}, r"Ts = 0.001 s \(598 of 598 steps differ\)"),
@@ -191,16 +145,7 @@ def test_what_a_table_does_not_have_is_named(more, message):
 
 @pytest.mark.parametrize(
     ("title", "unit"),
-    [
-        ("tempo_ms", 1e-3),
-        ("t / us", 1e-6),
-        ("t_µs", 1e-6),
-        ("t_ms [us]", 1e-6),
-        ("Time msec", 1e-3),
-        ("Time S", 1.0),
-        ("ms", 1e-3),
-        ("rooms", 1.0),
-    ],
+    [("t_µs", 1e-6), ("t_ms [us]", 1e-6), ("Time msec", 1e-3), ("ms", 1e-3), ("rooms", 1.0)],
 )
 def test_the_unit_of_a_clock_may_end_its_title(title, unit):
     frame = pd.DataFrame({title: 10.0 * SAMPLES, "y": LEVEL})

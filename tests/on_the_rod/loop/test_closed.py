@@ -8,7 +8,7 @@ from written_out import another, mixed, simulated
 
 from ilctools import current_trial_loop
 from ilctools.models import frequency_response
-from rodlib import Rod, midr, sampled_response
+from rodlib import Rod, midr
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -44,22 +44,6 @@ def test_the_controller_around_another_plant(seed):
     for plant in (other, samples):
         P = loop.frequency_response(grid, plant)
         np.testing.assert_allclose(P, expected, rtol=0, atol=1e-9 * scale)
-
-
-def test_the_papers_controller_around_the_rod_itself(loop):
-    """Models of rising degree approach what the controller does with the equation (1)-(4)."""
-    grid = np.geomspace(1e-4, 1.0, 30)
-    controls = sampled_response(Rod(), grid, 1.0)[:, :, [0, 2]]
-    rod = loop.frequency_response(grid, plant=controls)
-    errors = []
-    for degree in (3, 6, 12):
-        model = control.sample_system(midr(Rod(), degree), 1.0, method="zoh")
-        errors.append(np.abs(loop.frequency_response(grid, plant=model) - rod).max())
-    assert errors[1] < errors[0] / 10 and errors[2] < errors[1] / 10
-    assert errors[2] < 1e-5
-    # The paper's model itself is good enough where the loop learns, and not beyond.
-    difference = np.abs(loop.frequency_response(grid) - rod).max(axis=(1, 2))
-    assert difference[grid < 0.01].max() < 0.01 < difference.max()
 
 
 SWAPPED = midr(Rod(sensors=(0.28, 0.12)))

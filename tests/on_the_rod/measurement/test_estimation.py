@@ -18,12 +18,9 @@ from ilctools import (
     measured_response,
     run_trials,
     save_log,
-    synthesise,
     zero_phase_butterworth,
 )
 from ilctools.law.notes import NO_RESET, RESET
-from ilctools.measurement import regression
-from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
 
 SLOW = [0, 0.1], [1, -0.9]  # numerator and denominator of a lag
@@ -58,24 +55,15 @@ def test_the_truth_is_within_the_region(kind, seed):
     covers(measured_response(log, *of), plants)
 
 
-def test_no_start_of_the_search_finds_a_larger_posterior():
-    """Without a start with a drift it is 10 smaller, in its logarithm."""
-    kind = "learning, converged"
-    log, _ = KINDS[kind](np.random.default_rng([1, len(kind)]))
-    groups, rng = Record.of(log).of_output(0), np.random.default_rng(1)
-    starts = [(regression.CENTRE + 4 * rng.standard_normal(7),) for _ in range(5)]
-    found, *others = (
-        regression._fitted(groups, True, np.zeros(1, int), None, *first).cost
-        for first in [(), *((start,) for start in starts)]
-    )
-    assert found < min(others) + 0.1
-
-
 def test_a_long_delay_is_found_behind_noise_and_steps():
-    """By correlation of the signals, or of their moves; 2 to 12 % before the truth."""
+    """By correlation of the signals, or of their moves, up to 12 % before the truth.
+
+    Without it the region misses P widely.
+    """
     for kind, seed in (("a long delay, noise", 1), ("a long delay, steps", 21)):
         log, plants = KINDS[kind](np.random.default_rng([seed, len(kind)]))
         estimate = measured_response(log)
+        covers(estimate, plants, 0.2)
         # though where the input rested before the record is still on its way
         assert not estimate.findings
         (fit,) = estimate.fits
@@ -118,16 +106,6 @@ def test_trials_under_learning_give_P(name, tmp_path):
     covers(estimate, loop.P, 0.2 * size)
 
 
-def test_a_filter_is_designed_for_it_and_keeps_its_promise():
-    rng = np.random.default_rng(1)
-    u = np.repeat(rng.standard_normal(100), 4)
-    estimate = measured_response(single(u, lfilter(*SLOW, u) + 0.01 * rng.standard_normal(400)))
-    omega, Q = np.geomspace(1e-2, np.pi, 80), zero_phase_butterworth(2, 0.1, 1.0)
-    design = synthesise(estimate, Q, omega, order=10, L_max=20.0, band=(0.01, 0.1))
-    assert design.check(control.tf(*SLOW, 1.0)).gamma <= 0.9
-    assert "the plant is linear" in "".join(design.certificate.assumptions)
-
-
 def test_frequencies_without_power_are_not_identified():
     """An input that moves slowly says nothing of high frequencies, where noise is."""
     rng, N, plant = np.random.default_rng(0), 300, ([0, 0.3], [1, -0.7])
@@ -140,16 +118,6 @@ def test_frequencies_without_power_are_not_identified():
     first = np.flatnonzero(estimate.known)[0]
     assert f"identified from {estimate.omega[first]:.3g} to" in repr(estimate)
     assert np.all(off(estimate, response([[plant]], estimate.omega)) <= estimate.radius(0.99))
-
-
-def test_trials_may_start_apart():
-    """As far as the moves of the inputs go: the region holds, and nothing is said."""
-    rng, t = np.random.default_rng(0), np.arange(200)
-    u, starts = rng.standard_normal((6, 200)), 3 * np.arange(6)[:, None]
-    y = lfilter(*SLOW, u) + 0.1 * starts * 0.9**t + 0.01 * rng.standard_normal((6, 200))
-    estimate = measured_response(several(u[..., None], y[..., None]))
-    covers(estimate, [[SLOW]], 0.05)
-    assert not estimate.findings and estimate.known.all()
 
 
 def test_a_resonance_that_was_hardly_excited_is_not_identified():
@@ -205,40 +173,6 @@ def test_what_is_not_one_linear_plant_is_said(kind, words):
     with pytest.warns(UserWarning, match=f"y0 is not that of one linear plant: .*{words}"):
         estimate = measured_response(log)
     assert estimate.apart > 0.01 and estimate.findings[0] in str(estimate)
-
-
-def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
-    """It falls by e in 83 of 100 samples."""
-    rng, a = np.random.default_rng(3), pair(0.3, 0.04)
-    plant, u = ([0, a.sum()], a), np.repeat(rng.standard_normal(34), 3)[:100]
-    estimate = measured_response(single(u, lfilter(*plant, u) + 0.03 * rng.standard_normal(100)))
-    covers(estimate, [[plant]], 0.1)
-    assert estimate.known.mean() > 0.95
-
-
-@pytest.mark.filterwarnings("ignore:y0")  # a pole of 0.95 under three steps may be one of 1
-@pytest.mark.parametrize(("delay", "N"), [(41, 400), (220, 2000)])
-def test_a_long_delay_is_found(delay, N):
-    """By correlation of the signals, or of their moves; without it the region misses P widely."""
-    rng, plant = (np.random.default_rng(5), (np.append(np.zeros(delay + 1), 0.05), [1, -0.95]))
-    steps = np.select([np.arange(N) < 0.1 * N, np.arange(N) < 0.5 * N], [0.0, 1.0], -0.5)
-    for u in (steps, np.repeat(rng.standard_normal(N // 4), 4)):
-        y = lfilter(*plant, u) + 0.02 * rng.standard_normal(N)
-        estimate = measured_response(single(u, y))
-        covers(estimate, [[plant]], 0.1)
-        found = estimate.fits[0].data.layout.knots[1][0]
-        assert 0.88 * (delay + 1) < found <= delay + 1
-
-
-def test_trials_that_begin_with_v_are_estimated_from_the_rest_before_them():
-    """With a delay, v begins where the reference does not yet move: a step in the first sample."""
-    plant = np.append(np.zeros(41), 0.06), [1, -0.94]
-    t, rng = np.arange(400), np.random.default_rng(0)
-    r = 5 * np.sin(np.pi * np.minimum(t / 280, 1)) ** 2
-    v = np.array([0, 0.8, 1.2, 1.25])[:, None] * np.roll(r, -41) * (t < 330)
-    y = lfilter(*plant, r + v) + 0.01 * rng.standard_normal(v.shape)
-    log = several(np.tile(r, (4, 1))[..., None], y[..., None], "w")
-    covers(measured_response(log.assign(v=(log.v.dims, v[..., None]))), [[plant]], 0.05)
 
 
 def test_trials_without_reset_are_one_record():

@@ -14,7 +14,7 @@ from ilctools import ClosedLoop, current_trial_loop, load_log, measured_response
 from ilctools.errors import LogError, RigError
 from ilctools.law.notes import loop_note, loop_of
 from ilctools.measurement.excitation import excitation_of, with_excitation
-from ilctools.measurement.excited import ExcitedResponse, _sparse, excited_response
+from ilctools.measurement.excited import excited_response
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
 from rodlib import paper_loop, sampled_response
@@ -31,12 +31,6 @@ CASES = {  # loop, lowest and highest frequency (rad/s), hours, noise
 def quick(loop):
     """An excitation of the paper's loop that does not take long."""
     return multisine(loop, 5e-3, 0.5, 2.0, 4.3, lines=16)
-
-
-@pytest.fixture(scope="module")
-def short(loop):
-    """A shorter one, with a lowest frequency that is too high for what is known at zero."""
-    return multisine(loop, 0.02, 0.5, 2.0, 1.1, lines=12)
 
 
 def answer(loop, w, noise=0.0):
@@ -73,43 +67,33 @@ def off(response, truth):
     return np.linalg.norm(response - truth, 2, axis=(1, 2))
 
 
-@pytest.fixture(scope="module", params=CASES)
-def seeds(request):
-    """A case measured with many seeds, its errors, and that without noise."""
-    make, lowest, highest, hours, sigma = CASES[request.param]
+@pytest.mark.parametrize("name", CASES)
+def test_the_region_covers_the_truth_at_least_as_often_as_it_says(name):
+    """In the Frobenius norm as often; the largest singular value of a 2 x 2 matrix is less.
+
+    Bias is below the noise, and the variance that of the errors.
+    """
+    make, lowest, highest, hours, sigma = CASES[name]
     loop = make()
     excitation = multisine(loop, lowest, highest, 1.0, hours, lines=12)
     settled = answer(loop, excitation.signals)
     noise = noise_of(excitation, sigma, 1, SEEDS)
     noisy = settled + answer(loop, 0 * noise, noise)
-    measured = [estimate(loop, excitation, y) for y in [settled, *noisy]]
+    bias, *measured = [estimate(loop, excitation, y) for y in [settled, *noisy]]
     truth = loop.frequency_response(excitation.omega)
-    bias, *errors = np.array([one.response - truth for one in measured])
-    return measured[1:], np.array(errors), np.linalg.norm(bias, axis=(1, 2))
-
-
-def test_the_region_covers_the_truth_at_least_as_often_as_it_says(seeds):
-    """In the Frobenius norm as often; the largest singular value of a 2 x 2 matrix is less."""
-    measured, errors, _ = seeds
+    errors = np.array([one.response - truth for one in measured])
+    power = np.mean(np.linalg.norm(errors, axis=(2, 3)) ** 2, axis=0)
+    assert np.all(np.linalg.norm(bias.response - truth, axis=(1, 2)) < np.sqrt(power) / 3)
+    for kind in ("noise", "error"):
+        estimated = np.mean([getattr(one, kind) ** 2 for one in measured], axis=0)
+        assert estimated.sum() / power.sum() == pytest.approx(1, abs=0.15)
+    # the noise of the furnace falls by 4 between two lines, which a straight line does not
+    assert 0.5 < np.min(estimated / power) < np.max(estimated / power) < 2
     radii = [one.radius(0.9) for one in measured]
     for norm, least, most in ((2, 0.89, 1), ("fro", 0.87, 0.93)):
         covered = np.linalg.norm(errors, norm, axis=(2, 3)) <= radii
         assert least <= covered.mean() <= most
         assert covered.sum(axis=0).min() >= binom.ppf(5e-4, SEEDS, 0.9)
-
-
-def test_bias_is_below_the_noise_and_the_variance_is_that_of_the_errors(seeds):
-    measured, errors, bias = seeds
-    power = np.mean(np.linalg.norm(errors, axis=(2, 3)) ** 2, axis=0)
-    assert np.all(bias < np.sqrt(power) / 3)
-    by_noise, by_both = (
-        np.mean([getattr(one, kind) ** 2 for one in measured], axis=0)
-        for kind in ("noise", "error")
-    )
-    for estimated in (by_noise, by_both):
-        assert estimated.sum() / power.sum() == pytest.approx(1, abs=0.15)
-    # the noise of the furnace falls by 4 between two lines, which a straight line does not
-    assert 0.5 < np.min(by_both / power) < np.max(by_both / power) < 2
 
 
 def lags(u):
@@ -125,17 +109,9 @@ def resonance(u):
     return lfilter([0, 0.07], [1, -1.94 * np.cos(0.3), 0.97**2], u, axis=1)
 
 
-def delayed(u):
-    return np.roll(lfilter([0.3], [1, -0.7], u, axis=1), 20, axis=1)
-
-
 @pytest.mark.parametrize(
     ("plant", "outputs", "bent", "realisations", "hours"),
-    [
-        (lags, ["y1", "y2"], 0.1, 2, 1.4),
-        (resonance, ["y"], 1.0, 2, 0.72),
-        (delayed, ["y"], 0.3, 6, 2.2),
-    ],
+    [(lags, ["y1", "y2"], 0.1, 2, 1.4), (resonance, ["y"], 1.0, 2, 0.72)],
 )
 def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations, hours):
     """Behind w + c w^3; the truth is the mean over the draws of phases, without noise."""
@@ -148,7 +124,7 @@ def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations,
 
     plans = [
         multisine(loop, 0.015, 1.0, 0.5, hours, 40, realisations=realisations, seed=seed)
-        for seed in range(24)
+        for seed in range(16)
     ]
     truth = np.mean([measured(plan, 0.0).response for plan in plans], axis=0)
     found = [measured(plan, 0.003) for plan in plans]
@@ -162,39 +138,6 @@ def test_the_radius_holds_what_is_not_linear(plant, outputs, bent, realisations,
     assert bent < 0.3 or min(P.beyond_noise for P in found) > 0.3
 
 
-@pytest.mark.parametrize(("m", "realisations"), [(1, 2), (3, 6)])
-def test_the_radius_is_that_of_normal_errors(m, realisations):
-    """Whose size grows with frequency a hundredfold; of all entries, and of a gain."""
-    rng, n = np.random.default_rng(m * realisations), 30
-    omega, loop = np.geomspace(0.01, 1, n), ClosedLoop(Ts=1.0, outputs=list("abc"[:m]))
-
-    def normal(*shape):
-        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
-
-    truth = np.exp(-3j * omega)[:, None, None] * np.eye(m) / (1 + 1j * omega[:, None, None])
-    gain = np.sqrt(2) * truth[:, :1, :1] * np.outer(np.eye(m)[0], np.eye(m)[0])
-    kinds = [  # and how many entries err: a gain's error is real, and turns as P does
-        (lambda *shape: normal(*shape, m, m), m**2),
-        (lambda *shape: gain * normal(*shape, 1, 1).real, 0.5),
-    ]
-    for errors, entries in kinds:
-        within, jointly, found, alarms = [], [], [], []
-        for _ in range(50):
-            size = 1e-3 * omega[:, None, None]
-            P = ExcitedResponse(omega, truth + size * errors(realisations, 2, n), loop)
-            error = np.linalg.norm(P.response - truth, axis=(1, 2))
-            within.append(error <= P.radius(0.9))
-            jointly.append(np.all(error <= P.radius(0.99, jointly=True)))
-            found.append(P._error[1])
-            alarms.append(P.beyond_noise > 0)
-        assert np.mean(found) == pytest.approx(entries, rel=0.15)
-        assert np.sum(alarms) <= 1  # of one in a thousand
-        assert np.mean(within) == pytest.approx(0.9, abs=0.035)
-        assert np.sum(jointly) >= binom.ppf(0.001, len(jointly), 0.99)
-        middle = np.mean(within, axis=0)[5:-5]
-        assert middle.min() > 0.75
-
-
 def test_the_rig_is_measured(loop, quick):
     """Against the rod's own equation: neither rig nor truth knows the model of the design."""
     parameters = RigParameters(lag=0.0)
@@ -205,8 +148,8 @@ def test_the_rig_is_measured(loop, quick):
     assert np.all(error < measured.radius(0.999, jointly=True))
 
 
-def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
-    path = tmp_path / "shaken.csv"
+def test_shaking_is_logged_and_gone_on_with(loop, tmp_path):
+    path, short = tmp_path / "shaken.csv", multisine(loop, 0.02, 0.5, 2.0, 1.1, lines=12)
     with pytest.raises(RigError, match="trial 2"):
         shake(Failing(1500, [np.nan, 0.0]), loop, short, path=path)
     with pytest.raises(LogError, match=r"experiments \[1\] of 4"):
@@ -262,14 +205,6 @@ def test_lines_too_far_apart_for_a_delay_are_reported(lines):
     assert all(text in measured.basis([0.01]) for text in measured.findings)
 
 
-@pytest.mark.parametrize("line", [14, 15])
-def test_a_line_that_no_neighbour_predicts_is_reported(line):
-    omega, loop = np.geomspace(0.01, 1, 30), ClosedLoop(Ts=1.0, outputs=["y"])
-    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 2, 30, 1, 1))
-    P = ExcitedResponse(omega, noise + (np.arange(30) == line)[:, None, None], loop)
-    assert f"{omega[line]:.3g} rad/s" in _sparse(P)
-
-
 def test_wrong_records_are_refused(loop, quick):
     w = quick.signals
     y = answer(loop, w, noise_of(quick, 0.02, 5)[0])
@@ -280,21 +215,10 @@ def test_wrong_records_are_refused(loop, quick):
     for wrong, message in (
         (log_of(loop, quick, gap), "log.y"),
         (log_of(loop, quick, y, broken), "w of y1 is not its excitation"),
-        (log_of(loop, quick, y, w[[0, 0, 2, 3]]), "w of y2 is not its excitation"),
-        (log_of(loop, quick, y[:, 1:], w[:, 1:]), "log.v has shape"),
         (without, "not of shake"),
-        (log.assign_attrs(excitation='{"period": 3}'), "excitation"),
-        (log.assign_attrs(actuators='{"Q1": [4, -4]}'), "actuators"),
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(wrong)
-    note = (
-        '{"Ts": 1, "period": 9, "periods": 3, "harmonics": [1], "phases": [0.1], "amplitude": [1]}'
-    )
-    earlier = log.assign_attrs(excitation=note)  # by local polynomials, without realisations
-    with pytest.raises(LogError, match="phases"):
-        measured_response(earlier)
-    assert measured_response(earlier.isel(time=slice(200)), "w").known.any()
     with pytest.raises(ValueError, match="channels = 1"):
         one = multisine(ClosedLoop(Ts=1.0, outputs=["y1"]), 0.02, 0.5, 2.0, 1.0)
         shake(Failing(), loop, one)

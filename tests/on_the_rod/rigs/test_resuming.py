@@ -1,34 +1,19 @@
-"""A log is gone on with, by the same experiment only, from a first signal and for references."""
+"""A log is gone on with, by the same experiment only."""
 
-import multiprocessing
-import signal
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from plants import RestartingModel, boiler, bump
+from plants import bump
 from rods import Failing
 
-from ilctools import (
-    Law,
-    LearningFilter,
-    current_trial_loop,
-    load_log,
-    record,
-    run_trials,
-    save_log,
-    zero_phase_butterworth,
-)
-from ilctools.logs.replay import replay
+from ilctools import Law, LearningFilter, load_log, record, save_log, zero_phase_butterworth
 from rodlib import paper_loop
-from rodlib.rigs import RestartingRig, VirtualRig
+from rodlib.rigs import VirtualRig
 
 LAW = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter(0.4 * np.eye(2)[..., None], 1.0))
 SHORT = {"reference": bump(25, [0.5, 0.2]), "trials": 3, "pause": 2}
-BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])
-BOILER_LAW = Law(zero_phase_butterworth(2, 0.5, 0.5), replace(LAW.L, Ts=0.5), rest=4)
-R = bump(80, [2.0, 1.0])
 
 
 def test_an_interrupted_experiment_goes_on_as_if_nothing_had_been(loop, tmp_path):
@@ -83,44 +68,14 @@ def test_another_experiment_does_not_go_on_with_the_log(loop, tmp_path, changes,
     assert path.read_bytes() == content and rig.time == time
 
 
-def hold(path, began):
-    """Record to a log, in which the first trial never begins."""
+def test_two_do_not_record_to_one_log(loop, tmp_path):
+    """The second is refused before anything is applied."""
+    path, other = tmp_path / "log.csv", VirtualRig()
 
-    class Waiting(RestartingRig):
+    class Shared(Failing):
         def begin(self, trial):
-            began.set()
-            signal.pause()
+            with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
+                record(other, loop, LAW, **SHORT, path=path)
 
-    record(Waiting(), paper_loop(), Law(LAW.Q, None), np.ones((9, 2)), path=path)
-
-
-@pytest.mark.filterwarnings("ignore:.*fork")
-def test_two_processes_do_not_record_to_one_log(loop, tmp_path):
-    """The second is refused before anything is applied; not so after the first was killed."""
-    path, device = tmp_path / "log.csv", VirtualRig()
-    began = (fork := multiprocessing.get_context("fork")).Event()
-    first = fork.Process(target=hold, args=(path, began), daemon=True)
-    first.start()
-    assert began.wait(60)
-    with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
-        record(device, loop, LAW, **SHORT, path=path)
-    first.kill()
-    first.join()
-    assert device.time == 0 and not path.exists()
-    record(device, loop, LAW, **SHORT | {"trials": 1}, path=path)
-    assert path.exists()
-
-
-def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
-    v, path = 0.1 * R + 1e-9 / 3, tmp_path / "log.csv"
-    trials = {"loop": BOILER, "law": BOILER_LAW, "reference": R, "v": v, "path": path}
-    trials["decimals"] = {"v": 6}
-    log = record(RestartingModel(boiler()), trials=2, **trials)
-    run = run_trials(BOILER, BOILER_LAW, R, trials=2, v=v)
-    np.testing.assert_allclose(log.y, run.y, atol=1e-5)
-    more = record(RestartingModel(boiler()), trials=3, **trials)
-    assert more.isel(trial=slice(2)).identical(log)
-    replayed = replay(load_log(path))
-    assert replayed.departure.loc[1].isna().all()
-    assert replayed.departure.loc[2:].to_numpy().max() < 1e-6
-    np.testing.assert_allclose(replayed.simulated.y, more.y, atol=1e-5)
+    assert record(Shared(), loop, LAW, **SHORT, path=path).sizes["trial"] == 3
+    assert other.time == 0

@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ilctools import InfeasibleError, LearningFilter, least_gain, synthesise
+from ilctools import InfeasibleError, LearningFilter, synthesise
 from ilctools.errors import SolverError
 from ilctools.problem.pose import pose
 from ilctools.synthesis import everywhere
@@ -60,6 +60,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
     assert certified(problem, check=False).certificate.failures
 
 
+@settings(max_examples=5)
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
 def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     """P = G z^-1 has the learning filter G^-1 z, with M = 0."""
@@ -72,36 +73,10 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore:Q is 1 above 3.115 rad/s, where P is not known")
-@pytest.mark.filterwarnings("ignore:.*they show too little of P")  # a delay of 11 samples
-def test_least_gain_of_a_channel_that_could_be_learned_at_once():
-    """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
-
-    To halve its error a gain of 5 is enough, and up to 15 would not be noticed in the peak.
-    """
-    n = 60
-    omega = (np.arange(n) + 0.5) * np.pi / n
-    z = np.exp(1j * omega)
-    P = np.zeros((n, 2, 2), dtype=complex)
-    P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
-    problem = (P, np.ones(n), omega, 1.0)
-    arguments = {"order": 12, "band": (0.1, 1), "structure": "full"}
-    any_gain = synthesise(*problem, objective="peak", L_max=None, **arguments)
-    design = least_gain(*problem, **arguments)
-    assert any_gain.value == pytest.approx(0.5, rel=1e-7)
-    assert any_gain.sigma_L.max() > 5.5
-    assert design.value == pytest.approx(0.5, rel=1e-7)
-    assert design.sigma_L.max() == pytest.approx(5, rel=1e-6)
-    second = np.append(5, np.zeros(11))
-    np.testing.assert_allclose(design.filter.coefficients[1, 1], second, atol=1e-2)
-
-
 @pytest.mark.parametrize(
     ("changes", "remedy"),
     [
-        ({"M_max": 0.6, "L_max": 1e-9}, "M_max is 1 .*: raise M_max or L_max, take"),
         ({"order": 11, "structure": "diagonal"}, "a longer filter, or a full one, lower"),
-        ({"order": 11}, "take a longer filter, lower"),
         ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or L_max"),
         ({"L_max": None}, r"M_max is 0.5(00001)? .*: raise M_max, take"),  # rounded up
     ],
