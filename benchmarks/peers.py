@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from boards import logs
 from kinds import KINDS, bump
 from plants_of_peers import PLANTS, double_mass, their_reference
 from runner import publish, run, table
@@ -30,11 +29,13 @@ from ilctools import (
     convergence,
     current_trial_loop,
     frequency_response,
+    read_table,
     synthesise,
     zero_phase_butterworth,
 )
 from ilctools.models import impulse_response
-from rodlib import Spread, draw, heat_balance, paper_loop, responses
+from rodlib import Spread, draw, fit_heat_balance, heat_balance, paper_loop, responses
+from rodlib.paper.repository import ROOT
 
 OFF = (1, -1, 2, -2)  # in ten percent
 TRIALS, NOISE = 10, 1e-3  # of the largest reference of each channel
@@ -98,9 +99,16 @@ def later(errors):
     return np.sqrt(np.mean(errors[1:] ** 2)) / errors[0]
 
 
+def fitted(name):
+    """The parameters of a heat balance that is fitted to a log."""
+    columns = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}
+    log = read_table(ROOT / "data" / "tclab" / f"{name}.csv", **columns)
+    return fit_heat_balance(log.u[0], log.y[0], log.Ts).values
+
+
 def of_board(name):
     """A real heater board; ten percent off is the other one, or as far to the other side."""
-    own, other = (fit.values for fit in logs()[1][:: 1 if name == BOARDS[0] else -1])
+    own, other = map(fitted, BOARDS[:: 1 if name == BOARDS[0] else -1])
     model, *off = (heat_balance(*own * (other / own) ** k, 3.0) for k in (0, *OFF))
     sizes = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
     loop = current_trial_loop(model, ["Q1", "Q2"], sizes=sizes)

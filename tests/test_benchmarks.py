@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("pytest_benchmark")
 
 import bench_synthesis
-import boards
 import confidence
 import constants
 import peers
@@ -110,16 +109,6 @@ def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkey
     monkeypatch.setattr(survey, "synthesise", lambda *arguments, **options: 1 / 0)
     assert survey.outcome(4)["end"].startswith("ZeroDivisionError")
     assert watch.quiet_row("furnace", [(10, {"model": 3})])[4:] == ["1", "100.00"]
-
-
-def test_a_heater_board_is_known_from_long_moves_around_the_working_point(monkeypatch):
-    (A, _), fits = boards.logs()
-    z, noise = boards.with_squares(A, fits[0]), np.array([0.06, 0.11])
-    monkeypatch.setattr(boards, "OMEGA", boards.OMEGA[::3])
-    monkeypatch.setitem(boards.BOUNDS, "order", 4)
-    monkeypatch.setattr(boards, "DRAWN", 3)
-    left, least, unknown = boards.moved(36, 1, z, noise)
-    assert 0.05 < left < 0.2 and least < 1 and not unknown
 
 
 def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, tmp_path):

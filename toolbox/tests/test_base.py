@@ -148,7 +148,7 @@ def test_files_keep_it_and_old_filters_keep_their_bytes(tmp_path, with_base, fin
     old = Law(Q, LearningFilter([[[0.5]]], 1e-3))
     for law, version in ((old, 1), (with_base.law(), 2), (finite.law(), 2)):
         save_law(path, law)
-        assert f'"rodlib law {version}"' in path.read_text()
+        assert f'law {version}"' in path.read_text()
         assert ("first" in path.read_text()) == (version == 2)
         assert text_of(law_notes(load_law(path))) == text_of(law_notes(law))
     path.write_text(path.read_text().replace("law 2", "law 3"))
