@@ -105,10 +105,10 @@ def not_found(notebook, rows, constants=()):
 def benchmarked(text):
     """The numbers of the benchmarks that a text names, in their sections of performance.md.
 
-    Of one that is gone, the text names the commit that made its section.
+    Of one that is gone, the text names the commit that made its section; or a parameter of itself.
     """
     found = set()
-    for name in re.findall(r"`(?:make measure WHAT=|git show \S+/)(\w+)(?:\.py)?`", text):
+    for name in re.findall(r"`(?:make measure WHAT=|git show \S+/|)(\w+)(?:\.py| = 10)?`", text):
         _, _, section = PERFORMANCE.partition(f"<!-- {name} -->")
         section = section.partition(f"<!-- end of {name} -->")[0]
         found |= {Decimal(number) for number in re.findall(NUMBER, section)}
