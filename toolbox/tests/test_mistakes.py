@@ -101,6 +101,7 @@ REFUSED = {  # what the error says, and a call
     # what is no plant, no filter, no log
     "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
     "Q = Trans.* one direction only: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
+    "P = (?s:.*)to_ss": lambda: synthesise(SCIPY_MODEL, Q),
     "Q holds values of type <U4": lambda: synthesise(MODEL, "lowp"),
     "plant = (?s:.*)linearize": lambda: current_trial_loop(
         control.nlsys(None, lambda t, x, u, p: u, dt=1.0)
@@ -117,6 +118,11 @@ REFUSED = {  # what the error says, and a call
         xr.Dataset({"y": (("time", "channel"), ZERO)})
     ),
     # sizes
+    r"e has dimensions \('time',\)": lambda: rms(xr.DataArray(ZERO[:, 0], dims="time")),
+    "P has a radius, for which a design answers": lambda: convergence(
+        measured_response(control.frd(P.T, OMEGA), uncertainty=0.1 * np.abs(P.ravel())),
+        Q, LAW.L, OMEGA,
+    ),
     "order = 10 .* 5 frequencies": lambda: synthesise(P[:5], Q, OMEGA[:5], TS, order=10),
     "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(
         TANKS, 0.01, 1.0, [1, 1, 1], 1.2
@@ -132,6 +138,15 @@ REFUSED = {  # what the error says, and a call
     "law.labels = .*, loop.labels = .* in the same order": lambda: run_trials(
         ClosedLoop(TURNED), OF_AXES.law(), TWO
     ),
+    r"design.labels = \['x', 'y', .* P.labels = \['y', 'x'": lambda: OF_AXES.check(TURNED),
+    r"P\[0\].labels = .* P\[1\].labels = \['y', 'x'": lambda: synthesise(
+        [axes(), TURNED], OF_AXES.Q
+    ),
+    "loop.labels = .* plant.labels": lambda: run_trials(AXES, OF_AXES.law(), TWO, plant=TURNED),
+    r"design.units\['x'\] = 'm', P.units\['x'\] = 'mm'": lambda: OF_AXES.check(
+        ClosedLoop(axes(), units={"x": "mm"})
+    ),
+    "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
     "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s": lambda: transfer(
         LOG.assign_coords(time=0.5 * LOG.time), MOVE
     ),
@@ -183,6 +198,10 @@ SHARE = 100 * np.mean(MOVE > 1)
 SAID = {  # what a warning says, and simulated trials that cannot work
     "predicts 0.*-1 in x came; .*exchanged or reversed": lambda: run_trials(
         AXES, OF_AXES.law(), TWO, None, 3, plant=altered(axes(), B=-1.0)
+    ),
+    "predicts 0.*-0.96 in x came; .*exchanged or reversed": lambda: run_trials(
+        AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
+        plant=control.ss(TURNED, outputs=["x", "y"]),
     ),
     "^no output moves in the 60 samples of a trial": lambda: run_trials(
         ClosedLoop(furnace(60)), LAW, MOVE, None, 2
