@@ -71,8 +71,8 @@ newest: $(BIN)/ready  ## unit tests with the newest packages that pyproject.toml
 	build/newest/bin/pytest -q
 
 measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=survey; alone, it lists what there is
-	@test -n "$(WHAT)" || { $(BIN)/python benchmarks/runner.py; exit 2; }
-	@$(BIN)/python benchmarks/$(WHAT).py
+	@test -n "$(WHAT)" || { grep -m 1 '^"""' benchmarks/*.py; exit 2; }
+	@PYTHONPATH=toolbox/tests $(BIN)/python benchmarks/$(WHAT).py
 
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
 	@rm -rf build/pages
@@ -80,10 +80,7 @@ pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in 
 	@echo "open build/pages/index.html"
 
 bench: $(BIN)/ready  ## time the synthesis against CVXPY; rewrite its table in figures/performance.md
-	@mkdir -p build
-	$(BIN)/pytest -q benchmarks/bench_*.py --benchmark-json=build/benchmark.json \
-		--benchmark-columns=median,min,max,rounds
-	$(BIN)/python benchmarks/report.py build/benchmark.json
+	@$(BIN)/python benchmarks/bench_synthesis.py
 
 # Jupyter refuses to run as root, except in a container, where root is whoever started it.
 lab: LAB := $(if $(wildcard /.dockerenv /run/.containerenv),--allow-root)

@@ -1,16 +1,11 @@
-"""What the benchmarks share: a process with one thread for each core, tables, performance.md.
+"""What the benchmarks share: a process with one thread for each core, tables, performance.md."""
 
-Run by itself it lists them.
-"""
-
-import ast
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 from tqdm import tqdm
 
@@ -41,18 +36,3 @@ def publish(section, text):
     page = ROOT / "figures" / "performance.md"
     text = text.rstrip("\n") + "\n"  # or the marker would end the last row of a table
     write_whole(page, splice(page.read_text(encoding="utf-8"), section, text))
-
-
-def listed() -> str:
-    """A line for each benchmark that `make measure` runs, the first of what it says of itself."""
-    lines = []
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        if "__main__" in text and path.name not in ("runner.py", "report.py"):
-            first = ast.get_docstring(ast.parse(text)).partition("\n")[0]
-            lines.append(f"make measure WHAT={path.stem:<13} {first}")
-    return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(listed())
