@@ -6,14 +6,17 @@ have noise, actuators have limits, and what is not linear is simulated so. whole
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import control
 import numpy as np
+import plants
 
 from ilctools import ClosedLoop, current_trial_loop, measured_response, multisine, shake
 from ilctools.models import frequency_response
 
 S = control.tf("s")
+EXCHANGE = np.array([[-1.0, 1, 0], [1, -2, 1], [0, 1, -1]])  # of three in a row
 
 
 def resonance(w, damping):
@@ -33,23 +36,22 @@ def delay(samples, Ts):
 
 @dataclass(frozen=True)
 class Plant:
-    """What stands on the bench: x(p + 1) = step(x, u), y = output(x); zero is where it rests."""
+    """What stands on the bench: x(p + 1) = step(x, u), y = C x; zero is where it rests."""
 
-    states: int
     step: Callable
-    output: Callable
+    C: np.ndarray
     noise: float | np.ndarray  # standard deviation of the sensors
     limits: dict = field(default_factory=dict)  # of the inputs, by name
 
     def linear(self, Ts, inputs, outputs):
         """The plant at rest, by differences; names are those of the loop."""
-        names = {"inputs": inputs, "outputs": outputs}
+        names, states = {"inputs": inputs, "outputs": outputs}, self.C.shape[1]
         system = control.nlsys(
             lambda t, x, u, parameters: self.step(x, u),
-            lambda t, x, u, parameters: self.output(x),
-            states=self.states, dt=Ts, **names,
+            lambda t, x, u, parameters: self.C @ x,
+            states=states, dt=Ts, **names,
         )  # fmt: skip
-        return control.ss(control.linearize(system, 0 * np.ones(self.states), 0), **names)
+        return control.ss(control.linearize(system, np.zeros(states), 0), **names)
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,17 @@ class Kind:
     homes: bool = True  # whether every trial begins by a homing run
 
     @property
+    def given(self):
+        """What the design is given."""
+        return self.loop if self.known is None else self.known
+
+    @property
     def P(self):
         """P of the loop around the linear plant on the bench."""
         loop, plant = self.loop, self.sliding or self.bench
+        plant = plant.linear(loop.Ts, loop.commands, loop.outputs)
         if isinstance(loop, ClosedLoop):
-            return plant.linear(loop.Ts, loop.references, loop.outputs)
-        plant = plant.linear(loop.Ts, loop.controls, loop.outputs)
+            return plant
         return loop.around(plant)[:, : len(loop.outputs)]
 
 
@@ -86,10 +93,11 @@ class Driver:
 
     def start(self, trial):
         """At rest; the noise of a trial depends on its number alone."""
-        self.x, self.random = (np.zeros(self.bench.states), np.random.default_rng([7, trial]))
+        self.x = np.zeros(self.bench.C.shape[1])
+        self.random = np.random.default_rng([7, trial])
 
     def read(self):
-        y = self.bench.output(self.x)
+        y = self.bench.C @ self.x
         return y + self.bench.noise * self.random.standard_normal(len(y))
 
     def apply(self, u):
@@ -117,12 +125,10 @@ def flow(f, Ts, steps=1):
     return step
 
 
-def of_model(model, Ts, noise, limits=None):
+def of_model(model, Ts, noise, **limits):
     """A bench whose dynamics are those of a linear model."""
     model = control.ss(model) if model.dt else sampled(model, Ts)
-    A, B, C = model.A, model.B, model.C
-    step, output = lambda x, u: A @ x + B @ u, lambda x: C @ x
-    return Plant(len(A), step, output, noise, limits or {})
+    return Plant(lambda x, u: model.A @ x + model.B @ u, model.C, noise, limits)
 
 
 def our_loop(plant, Ts, commands, outputs, **weights):
@@ -136,14 +142,12 @@ def tanks(off):
     Ts, pumps = 2.0, ["pump A", "pump B", "pump C"]
 
     def plant(area=150.0, pipe=12.0, outlet=1.0):
-        between = pipe * np.array([[-1.0, 1, 0], [1, -2, 1], [0, 1, -1]])
-
         def flows(x, u):  # about a level of 20 cm
-            out = outlet * np.sqrt(20 * np.maximum(20 + x, 0)) - 20 * outlet
-            return (between @ x - 2 * out + u) / area
+            out = outlet * (np.sqrt(20 * np.maximum(20 + x, 0)) - 20)
+            return (pipe * EXCHANGE @ x - 2 * out + u) / area
 
         limits = dict.fromkeys(pumps, (-15.0, 12.0))
-        return Plant(3, flow(flows, Ts), lambda x: x, 0.02, limits)
+        return Plant(flow(flows, Ts), np.eye(3), 0.02, limits)
 
     levels = dict.fromkeys(["left", "middle", "right"], 5.0)
     loop = our_loop(plant(), Ts, dict.fromkeys(pumps, 20.0), levels)
@@ -162,34 +166,29 @@ def column(off):
 
     actuators = {"reflux": 20.0, "boilup": 20.0}
     loop = our_loop(plant(0), Ts, actuators, {"top": 1.0, "bottom": 1.0})
-    reference = bump(400, [1.0, -0.5])
-    return Kind(loop, plant(off), reference, 0.1 / Ts)
+    return Kind(loop, plant(off), bump(400, [1.0, -0.5]), 0.1 / Ts)
 
 
 def piezo(off):
     """A piezo at 10 kHz, a resonance at 800 Hz, damping 0.02."""
     Ts = 1e-4
 
-    def plant(w):
-        model = control.ss([[0, 1], [-(w**2), -0.04 * w]], [[0], [w**2]], [[1, 0]], 0)
-        return of_model(model, Ts, 1e-3, {"V": (-10.0, 10.0)})
+    def plant(hertz):
+        return of_model(resonance(2 * np.pi * hertz, 0.02), Ts, 1e-3, V=(-10.0, 10.0))
 
-    w = 2 * np.pi * 800
-    loop = our_loop(plant(w), Ts, {"V": 1.0}, {"um": 1.0})
-    bench = plant(w * (1 - 0.05 * off))
-    return Kind(loop, bench, bump(600, [2.0]), 2 * np.pi * 300)
+    loop = our_loop(plant(800), Ts, {"V": 1.0}, {"um": 1.0})
+    return Kind(loop, plant(800 - 40 * off), bump(600, [2.0]), 2 * np.pi * 300)
 
 
 def furnace(off):
     """A valve, a lag, and a pipe of 30 samples to the thermometer."""
 
-    def plant(gain=4.0, delay=30):
-        denominator = [1.0, -0.95, *np.zeros(delay)]
-        return of_model(control.tf([0.05 * gain], denominator, 1.0), 1.0, 0.01)
+    def plant(gain=1.0, delay=30):
+        return of_model(plants.furnace(delay, gain=gain), 1.0, 0.01)
 
     # By the default weights the loop bears one sample of delay more: the error says "a larger Ro".
     loop = our_loop(plant(), 1.0, {"valve": 1.0}, {"outlet": 4.0}, Ro=[[1600.0]])
-    bench = plant(4 * (1 + 0.1 * off), 30 + round(2 * off))
+    bench = plant(1 + 0.1 * off, 30 + round(2 * off))
     return Kind(loop, bench, bump(500, [5.0]), 0.05, homes=False)
 
 
@@ -202,13 +201,11 @@ def motor(off):
             torque, voltage = 0.05 * x[1] - friction * x[0], u[0] - x[1] - 0.05 * x[0]
             return np.array([torque / inertia, voltage / 0.005])
 
-        return Plant(2, flow(flows, Ts, 4), lambda x: x[:1], 0.05, {"V": (-24.0, 24.0)})
+        return Plant(flow(flows, Ts, 4), np.eye(1, 2), 0.05, {"V": (-24.0, 24.0)})
 
-    x, u, y = np.zeros(2), np.repeat(random.choice([-6.0, 6.0], 100), 10), []
-    for voltage in u:
-        y.append(x[0] + 0.05 * random.standard_normal())
-        x = plant().step(x, [voltage])
-    y = np.array(y)
+    u = np.repeat(random.choice([-6.0, 6.0], 100), 10)
+    states = [*accumulate(u[:-1, None], plant().step, initial=np.zeros(2))]
+    y = np.array(states)[:, 0] + 0.05 * random.standard_normal(len(u))
     past = np.column_stack([y[1:-1], y[:-2], u[1:-1], u[:-2]])
     a1, a2, b1, b2 = np.linalg.lstsq(past, y[2:], rcond=None)[0]
     model = control.tf([b1, b2], [1, -a1, -a2], Ts, inputs=["V"], outputs=["speed"])
@@ -227,7 +224,7 @@ def levitation(off):
             pull = force * (current * gap / max(gap + x[0], 1.0)) ** 2
             return np.array([x[1], g * (1 - pull)])
 
-        return Plant(2, flow(flows, Ts, 2), lambda x: x[:1], 2e-3, {"w1": (-5.0, 5.0)})
+        return Plant(flow(flows, Ts, 2), np.eye(1, 2), 2e-3, {"w1": (-5.0, 5.0)})
 
     loop = ClosedLoop(plant(1.0).linear(Ts, ["w1"], ["gap"]))
     return Kind(loop, plant(1 + 0.15 * off), bump(400, [2.0]), 60.0)
@@ -247,7 +244,7 @@ def plc(off):
             T = T + Ts / lag * (before - T)
             return np.concatenate([T, before + Ts / 3.0 * (heat - before), integral])
 
-        return Plant(6, step, lambda x: x[:2], 0.02)
+        return Plant(step, np.eye(2, 6), 0.02)
 
     loop = ClosedLoop(Ts=Ts, outputs=ovens, units=dict.fromkeys(ovens, "K"))
     shaken = Kind(loop, plant(1.0, 20.0), np.zeros((1, 2)), 0.2)
@@ -268,15 +265,14 @@ def table(off):
     omega = 2 * np.pi * np.geomspace(0.5, 100, 150)
     P = frequency_response(plant(w, upper), omega)[:, 0, 0]
     P = P + 0.003 * (random.standard_normal((2, 150)).T @ [1, 1j])
-    model = plant(w * (1 - 0.1 * off), upper * (1 - 0.05 * off))
-    loop, P = ClosedLoop(Ts=Ts, outputs=["x"]), control.frd(P, omega)
-    return Kind(loop, of_model(model, Ts, 2e-3), bump(400, [5.0]), w, known=P)
+    bench = of_model(plant(w * (1 - 0.1 * off), upper * (1 - 0.05 * off)), Ts, 2e-3)
+    loop = ClosedLoop(Ts=Ts, outputs=["x"])
+    return Kind(loop, bench, bump(400, [5.0]), w, known=control.frd(P, omega))
 
 
 def gantry(off):
     """Two axes with dry friction, which their models do not have."""
     Ts, forces, mass = 1e-3, ["F x", "F y"], np.array([8.0, 3.0])
-    limits = dict.fromkeys(forces, (-80.0, 80.0))
 
     def plant(error, dry):
         def flows(x, u):  # mm, mm/s, N
@@ -284,29 +280,27 @@ def gantry(off):
             force = (u - friction) / (mass * (1 + 0.1 * error))
             return np.concatenate([x[2:], 1e3 * force])
 
-        return Plant(4, flow(flows, Ts, 2), lambda x: x[:2], 1e-3, limits)
+        limits = dict.fromkeys(forces, (-80.0, 80.0))
+        return Plant(flow(flows, Ts, 2), np.eye(2, 4), 1e-3, limits)
 
-    sizes = dict.fromkeys(forces, 40.0), {"x": 1.0, "y": 1.0}
-    loop = our_loop(plant(0, 0.0), Ts, *sizes)
-    dry = np.array([4.0, 2.0]) * abs(off)
-    bench, sliding = plant(off, dry), plant(off, 0.0)
-    return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, sliding=sliding)
+    loop = our_loop(plant(0, 0.0), Ts, dict.fromkeys(forces, 40.0), {"x": 1.0, "y": 1.0})
+    bench = plant(off, np.array([4.0, 2.0]) * abs(off))
+    return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, sliding=plant(off, 0.0))
 
 
 def pendulum(off):
     """An inverted pendulum that has to lean by 0.8 rad and come back."""
-    Ts, limits = 0.01, {"torque": (-10.0, 10.0)}
+    Ts = 0.01
 
     def plant(mass=1.0, length=0.5):
         def flows(x, u):
             torque = mass * 9.81 * length * np.sin(x[0]) + u[0] - 0.05 * x[1]
             return np.array([x[1], torque / (mass * length**2)])
 
-        return Plant(2, flow(flows, Ts), lambda x: x[:1], 1e-3, limits)
+        return Plant(flow(flows, Ts), np.eye(1, 2), 1e-3, {"torque": (-10.0, 10.0)})
 
     loop = our_loop(plant(), Ts, {"torque": 5.0}, {"angle": 0.5})
-    bench = plant(1 + 0.1 * off, 0.5 * (1 + 0.05 * off))
-    return Kind(loop, bench, bump(300, [0.8]), 6.0)
+    return Kind(loop, plant(1 + 0.1 * off, 0.5 + 0.025 * off), bump(300, [0.8]), 6.0)
 
 
 KINDS = {

@@ -7,7 +7,7 @@ rad/s, and the samples of a trial.
 
 import control
 import numpy as np
-from kinds import S, delay, resonance, sampled
+from kinds import EXCHANGE, S, delay, resonance, sampled
 
 
 def closed(plant, controller, Ts, late=0):
@@ -59,21 +59,21 @@ def wafer(off):
     12 kg on a magnetic bearing, a loop of 45 Hz; the first two modes are within 400 Hz, up to which
     it learns.
     """
-    Ts, mass, crossover = 1e-4, 12.0, 2 * np.pi * 45
+    mass, crossover = 12.0, 2 * np.pi * 45
     G = 1 / S**2
     for hertz, damping, share in ((160, 0.01, 0.05), (330, 0.008, -0.08), (560, 0.01, 0.06)):
         w = 2 * np.pi * hertz
         G = G + share / w**2 * resonance(w, damping)
     C = mass * lead(crossover) * (1 + crossover / 6 / S)
-    return closed((1 + off) / mass * G, C, Ts, late=1), 2 * np.pi * 400, 1000
+    return closed((1 + off) / mass * G, C, 1e-4, late=1), 2 * np.pi * 400, 1000
 
 
 def bearing(off):
     """A magnetic bearing, whose pull grows with the way: both of its constants are off."""
-    Ts, mass, ki, ks = 1e-4, 2.5, 120.0 * (1 + off), 3e5 * (1 + off)  # kg, N/A, N/m
+    mass, ki, ks = 2.5, 120.0 * (1 + off), 3e5 * (1 + off)  # kg, N/A, N/m
     amplifier = 1 / (S / 6000 + 1)
     C = 7000 * (1 + 40 / S) * (1 + S / 250) / (S / 5000 + 1)  # A/m
-    return closed(ki / (mass * S**2 - ks) * amplifier, C, Ts, late=1), 1000.0, 800
+    return closed(ki / (mass * S**2 - ks) * amplifier, C, 1e-4, late=1), 1000.0, 800
 
 
 def plate(off):
@@ -82,11 +82,10 @@ def plate(off):
     All of it is off: capacities and losses are larger, the conductance and the heaters' powers
     smaller.
     """
-    Ts, C, h, k = 1.0, np.array([40.0, 55.0]), 1.0, 30.0  # s, J/K, W/K
-    C, h, k = C * (1 + off), h * (1 + off), k * (1 - off)
+    C, h, k = np.array([40.0, 55.0]) * (1 + off), 1.0 + off, 30.0 * (1 - off)  # J/K, W/K
     A = np.array([[-h - k, k], [k, -h - k]]) / C[:, None]
-    B = np.diag(1 - np.array([1.0, 0.5]) * off) / C[:, None]
-    return sampled(control.ss(A, B, np.eye(2), 0), Ts), 0.15, 400
+    B = np.diag([1 - off, 1 - 0.5 * off] / C)
+    return sampled(control.ss(A, B, np.eye(2), 0), 1.0), 0.15, 400
 
 
 def quadruple(off):
@@ -95,16 +94,14 @@ def quadruple(off):
     K. H. Johansson, The quadruple-tank process, IEEE Transactions on Control Systems Technology 8
     (2000) 456-465: his P_+, K = 1.5 and -0.12, T_i = 110 and 220 s.
     """
-    Ts, area, level = 5.0, np.array([28, 32, 28, 32.0]), np.array([12.6, 13.0, 4.8, 4.9])
+    area, level = np.array([28, 32, 28, 32.0]), np.array([12.6, 13.0, 4.8, 4.9])
     outlet = np.array([0.071, 0.057, 0.071, 0.057]) * (1 - off)
-    (k1, k2), (g1, g2) = np.array([3.14, 3.29]) * (1 + off), (0.43, 0.34)
-    rate = outlet / area * np.sqrt(981 / 2 / level)  # 1 / T
-    A = np.diag(-rate)
-    A[0, 2], A[1, 3] = rate[2] * area[2] / area[0], rate[3] * area[3] / area[1]
-    B = np.array([[g1 * k1, 0], [0, g2 * k2], [0, (1 - g2) * k2], [(1 - g1) * k1, 0]])
+    flow = outlet * np.sqrt(981 / 2 / level)  # cm3/s per cm
+    A = (np.diag(flow[2:], 2) - np.diag(flow)) / area[:, None]
+    B = np.array([[0.43, 0], [0, 0.34], [0, 0.66], [0.57, 0]]) * [3.14, 3.29] * (1 + off)
     plant = control.ss(A, B / area[:, None], 0.5 * np.eye(2, 4), 0)
     PIs = [control.ss(K * (1 + 1 / (T * S))) for K, T in ((1.5, 110), (-0.12, 220))]
-    return closed(plant, control.append(*PIs), Ts), 0.03, 800
+    return closed(plant, control.append(*PIs), 5.0), 0.03, 800
 
 
 def joint(off):
@@ -132,12 +129,11 @@ def web(off):
 
 def double_mass(off):
     """Of the tests of IterativeLearningControl2.jl; the load's inertia is off."""
-    motor, load, k = 1.0, 1.0 + off, 100.0
-    A = [[0, 1, 0, 0], [-k / motor, -2 / motor, k / motor, 1 / motor],
-         [0, 0, 0, 1], [k / load, 1 / load, -k / load, -2 / load]]  # fmt: skip
-    plant = control.ss(A, [[0], [1 / motor], [0], [0]], [[1, 0, 0, 0]], 0)
-    C = control.ss(10 * (1 + 1 / S) * (1 + S) / (0.02 * S + 1))
-    return sampled(control.feedback(plant * C, 1), 0.02), 140.0, 472
+    shaft = S + 100.0
+    motor, load = S**2 + S + shaft, (1.0 + off) * S**2 + S + shaft
+    G = load / (motor * load - shaft**2)
+    C = 10 * (1 + 1 / S) * (1 + S) / (0.02 * S + 1)
+    return sampled(control.feedback(G * C, 1), 0.02), 140.0, 472
 
 
 def their_reference():
@@ -161,8 +157,7 @@ def crane(off):
 def cylinder(off):
     """A hydraulic cylinder, an integrator with an oil column at 60 rad/s; the oil is softer."""
     w = 60 * np.sqrt(1 - off)
-    C = 12 * (1 + 0.5 / S)
-    return closed(resonance(w, 0.2) / S, C, 1e-3, late=2), 50.0, 1200
+    return closed(resonance(w, 0.2) / S, 12 * (1 + 0.5 / S), 1e-3, late=2), 50.0, 1200
 
 
 def galvo(off):
@@ -178,8 +173,7 @@ def climb(off):
     The zero, at 8 rad/s outside, and the pitch mode are off: it is heavier.
     """
     w, zero = 3.0 / np.sqrt(1 + off), 8.0 * (1 - off)
-    G = (1 - S / zero) * resonance(w, 0.5) / (S / 15 + 1)
-    return sampled(G, 0.02), 6.0, 600
+    return sampled((1 - S / zero) * resonance(w, 0.5) / (S / 15 + 1), 0.02), 6.0, 600
 
 
 def suspension(off):
@@ -204,13 +198,12 @@ def extruder(off):
 
     The PIs are tuned for the zones by themselves.
     """
-    Ts, loss, across = 2.0, 1.2, 2.5  # s, W/K, W/K
-    exchange = across * np.array([[-1.0, 1, 0], [1, -2, 1], [0, 1, -1]])
-    C = np.array([180.0, 220.0, 160.0]) * (1 + off)
-    plant = control.ss((exchange - loss * np.eye(3)) / C[:, None], np.diag(1 / C), np.eye(3), 0)
+    C = np.array([180.0, 220.0, 160.0]) * (1 + off)  # J/K
+    A = (2.5 * EXCHANGE - 1.2 * np.eye(3)) / C[:, None]  # W/K
     heaters = control.append(*[control.ss(1 / (6 * S + 1))] * 3)
     PIs = control.append(*[control.ss(8 * (1 + 1 / (60 * S)))] * 3)
-    return closed(plant * heaters, PIs, Ts), 0.15, 400
+    plant = control.ss(A, np.diag(1 / C), np.eye(3), 0)
+    return closed(plant * heaters, PIs, 2.0), 0.15, 400
 
 
 def tower(off):
@@ -218,10 +211,10 @@ def tower(off):
 
     The two actuators push both of them, with gains that a controller's designer would call coupled.
     """
-    k, d = np.array([[2.0, -0.3], [-0.3, 2.0]]) * 900, 4.0
-    mass = np.array([1.0, 1.2 * (1 + off)])
-    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-k / mass[:, None], -d * np.diag(1 / mass)]])
-    B = np.vstack([np.zeros((2, 2)), np.array([[1.0, 0.4], [-0.2, 1.0]]) * 1700 / mass[:, None]])
+    k, gains = 900 * np.array([[2.0, -0.3], [-0.3, 2]]), 1700 * np.array([[1.0, 0.4], [-0.2, 1]])
+    mass, none = np.array([[1.0], [1.2 * (1 + off)]]), np.zeros((2, 2))
+    A = np.block([[none, np.eye(2)], [-k / mass, -4.0 * np.eye(2) / mass]])
+    B = np.vstack([none, gains / mass])
     return sampled(control.ss(A, B, np.eye(2, 4), 0), 2e-3), 60.0, 900
 
 
