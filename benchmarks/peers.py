@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 from kinds import KINDS, bump
 from plants_of_peers import PLANTS, double_mass, their_reference
 from runner import publish, run, table
@@ -45,13 +46,6 @@ POINTS, FURTHER = 7, 120  # 2^7 points in a box, and steps from the best of them
 BEST, WORST = 1.2, 3.0  # times the best of the others: the goals
 BOARDS = ("board-1s", "board-3s")
 HUGE = 1e30  # of an error: enough
-DESIGNS = {
-    "ours": "ours",
-    "proportional_derivative": "PD",
-    "least_squares": "least squares",
-    "zero_phase_inversion": "inversion",
-    "norm_optimal": "norm-optimal",
-}
 DRAWS, RODS, OTHERS, SPREAD = 10, 300, 400, 0.2
 FILTERS = ((0.2, None), (0.25, None), (0.3, None), (0.3, 3), (0.3, 21))  # b; order of K
 ROD_BAND = (1e-4, 0.02)  # rad/s
@@ -83,15 +77,15 @@ class Case:
     def errors(self, Q, L, number=0):
         """RMS of the error e_k = r - P (r + v_k) of each trial, without the sensors' noise."""
         r, N = self.reference, len(self.reference)
-        v, sizes = np.zeros_like(r), []
-        for noise in self.noise:
+        v, sizes = np.zeros_like(r), np.full(TRIALS, HUGE)
+        for k, noise in enumerate(self.noise):
             w = np.fft.rfft(r + v, 2 * N, axis=0)
             y = np.fft.irfft(np.einsum("nij,nj->ni", self.passing[number], w), 2 * N, axis=0)[:N]
-            sizes.append(np.sqrt(np.sum((r - y) ** 2) / N))
-            if not sizes[-1] < HUGE:
-                return np.append(sizes, np.full(TRIALS - len(sizes), HUGE))
+            sizes[k] = np.sqrt(np.sum((r - y) ** 2) / N)
+            if not sizes[k] < HUGE:
+                break
             v = Q.apply(v + L.apply(r - y - noise))  # (23)
-        return np.array(sizes)
+        return sizes
 
 
 def later(errors):
@@ -120,15 +114,15 @@ def case_of(name):
     if name in BOARDS:
         return of_board(name)
     if name in KINDS:
-        kinds = [KINDS[name](off) for off in (0, *OFF)]
-        kind = kinds[0]
-        known = kind.loop if kind.known is None else kind.known
-        return Case(known, [each.P for each in kinds], kind.reference, kind.cutoff)
-    (P, cutoff, samples), *off = (PLANTS[name](k / 10) for k in (0, *OFF))
-    reference = bump(samples, HEIGHTS[: P.noutputs])
+        kind, *off = (KINDS[name](k) for k in (0, *OFF))
+        return Case(kind.given, [each.P for each in (kind, *off)], kind.reference, kind.cutoff)
+    plants, (cutoff, *_), (samples, *_) = zip(
+        *(PLANTS[name](k / 10) for k in (0, *OFF)), strict=True
+    )
+    reference = bump(samples, HEIGHTS[: plants[0].noutputs])
     if name == "double_mass":
         reference = their_reference()
-    return Case(ClosedLoop(P), [P, *(each for each, *_ in off)], reference, cutoff)
+    return Case(ClosedLoop(plants[0]), plants, reference, cutoff)
 
 
 @dataclass(frozen=True)
@@ -136,99 +130,89 @@ class Inversion:
     """A response at the lines of a trial that is padded to four times its length."""
 
     response: np.ndarray
-    Ts: float
-
-    def frequency_response(self, omega):
-        """Between the lines, by straight ones."""
-        lines = 2 * np.pi * np.fft.rfftfreq(2 * len(self.response) - 2, self.Ts)
-        return make_interp_spline(lines, self.response, k=1)(omega)
-
-    @property
-    def channels(self):
-        return self.response.shape[-1]
 
     def apply(self, signal):
-        n = 2 * len(self.response) - 2
-        spectrum = np.fft.rfft(signal, n, axis=-2)[..., None]
-        return np.fft.irfft((self.response @ spectrum)[..., 0], n, axis=-2)[..., : n // 4, :]
+        n = 4 * len(signal)
+        spectrum = np.fft.rfft(signal, n, axis=0)[..., None]
+        return np.fft.irfft((self.response @ spectrum)[..., 0], n, axis=0)[: len(signal)]
 
 
-class Opponents:
-    """Designs by hand for a P as it is known, each from parameters in a box."""
+def size_of(P, omega, Q):
+    """The largest sigma_max(P) up to the cut-off."""
+    return np.linalg.norm(P[omega <= Q.cutoff], 2, axis=(1, 2)).max()
 
-    def __init__(self, problem, samples):
-        self.problem, self.samples, self.Ts = problem, samples, problem.Ts
-        self.m, self.cutoff = problem.channels, problem.lowpass.cutoff
-        self.omega = np.linspace(0, np.pi / self.Ts, LINES + 1)
-        self.P = self.known(self.omega)
-        self.size = np.linalg.norm(self.P[self.omega <= self.cutoff], 2, axis=(1, 2)).max()
-        self.own = self.P[0].diagonal().real  # gains at rest
 
-    def known(self, omega):
-        """P as it is known, at any frequency."""
-        if (model := self.problem.response.models[0]) is not None:
-            return frequency_response(model, omega)
-        at = np.clip(omega, self.problem.omega[0], self.problem.omega[-1])
-        return make_interp_spline(self.problem.omega, self.problem.P, k=1)(at)
+def opponents(problem, samples):
+    """Designs by hand for a P as it is known, by name, each from parameters in a box.
 
-    @cached_property
-    def correlations(self):
-        """The inverse transforms of Q^2 P* P and Q^2 P*: normal equations over all lags."""
-        square = self.problem.lowpass.frequency_response(self.omega)[:, None, None] ** 2
-        adjoint = self.P.conj().swapaxes(1, 2)
-        return [np.fft.irfft(square * X, axis=0) for X in (adjoint @ self.P, adjoint)]
+    The boxes are in powers of ten; with them is for how many channels one by one.
+    """
+    m, Ts, Q, model = problem.channels, problem.Ts, problem.lowpass, problem.response.models[0]
 
-    def proportional_derivative(self, parameters):
+    def known(omega):
+        """P as it is known, at any frequency, and P*."""
+        if model is not None:
+            P = frequency_response(model, omega)
+        else:
+            at = np.clip(omega, problem.omega[0], problem.omega[-1])
+            P = make_interp_spline(problem.omega, problem.P, k=1)(at)
+        return P, P.conj().swapaxes(1, 2)
+
+    omega = np.linspace(0, np.pi / Ts, LINES + 1)
+    P, adjoint = known(omega)
+    at_rest, size = P[0].diagonal().real, size_of(P, omega, Q) ** 2
+    square = Q.frequency_response(omega)[:, None, None] ** 2
+    # The inverse transforms of Q^2 P* P and Q^2 P*: normal equations over all lags.
+    correlations = [np.fft.irfft(square * X, axis=0) for X in (adjoint @ P, adjoint)]
+    lines = 2 * np.pi * np.fft.rfftfreq(4 * samples, Ts)
+    P_lines, adjoint_lines = known(lines)
+
+    def proportional_derivative(parameters):
         """Gain, slope in samples and lead of each channel; three are those of all."""
-        sets = np.broadcast_to(10 ** np.reshape(parameters, (-1, 3)), (self.m, 3))
-        leads = np.rint(sets[:, 2]).astype(int)
-        coefficients = np.zeros((self.m, self.m, leads.max() + 1))
-        for i, (gain, slope, _) in enumerate(sets):
-            coefficients[i, i, leads[i]] = (1 + slope) * gain / self.own[i]
-            coefficients[i, i, leads[i] - 1] -= slope * gain / self.own[i]
-        return LearningFilter(coefficients, self.Ts, first=0)
+        gain, slope, lead = np.broadcast_to(10 ** np.reshape(parameters, (-1, 3)), (m, 3)).T
+        own, lead = np.arange(m), np.rint(lead).astype(int)
+        coefficients = np.zeros((m, m, lead.max() + 1))
+        coefficients[own, own, lead] = (1 + slope) * gain / at_rest
+        coefficients[own, own, lead - 1] = -slope * gain / at_rest
+        return LearningFilter(coefficients, Ts, first=0)
 
-    def least_squares(self, parameters):
+    def least_squares(parameters):
         """The filter of so many samples ahead and back with the least sum of |Q (I - P L)|^2.
 
         A ridge on its coefficients is added.
         """
         ahead, back, ridge = 10 ** np.array(parameters)
-        lags, m = np.arange(-int(back), int(np.rint(ahead)) + 1), self.m
-        normal, right = self.correlations
+        lags = np.arange(-int(back), int(np.rint(ahead)) + 1)
+        normal, right = correlations
         normal = normal[lags - lags[:, None]].swapaxes(1, 2).reshape(len(lags) * m, -1)
-        normal = normal + ridge * self.size**2 * np.eye(len(normal))
+        normal = normal + ridge * size * np.eye(len(normal))
         x = solve(normal, right[-lags].reshape(-1, m), assume_a="pos").reshape(-1, m, m)
-        return LearningFilter(x.transpose(1, 2, 0), self.Ts, first=int(lags[0]))
+        return LearningFilter(x.transpose(1, 2, 0), Ts, first=int(lags[0]))
 
-    def zero_phase_inversion(self, parameters):
+    def zero_phase_inversion(parameters):
         """A gain, a ridge, and the cut-off of a low-pass filter without phase."""
         gain, ridge, cutoff = 10 ** np.array(parameters)
-        cutoff = min(cutoff * self.cutoff, 0.99 * np.pi / self.Ts)
-        F = zero_phase_butterworth(2, cutoff, self.Ts)
-        n = 4 * self.samples
-        omega = 2 * np.pi * np.fft.rfftfreq(n, self.Ts)
-        P = self.known(omega)
-        adjoint = P.conj().swapaxes(1, 2)
-        inverse = np.linalg.solve(adjoint @ P + ridge * self.size**2 * np.eye(self.m), adjoint)
-        return Inversion(gain * F.frequency_response(omega)[:, None, None] * inverse, self.Ts)
+        F = zero_phase_butterworth(2, min(cutoff * Q.cutoff, 0.99 * np.pi / Ts), Ts)
+        normal = adjoint_lines @ P_lines + ridge * size * np.eye(m)
+        inverse = np.linalg.solve(normal, adjoint_lines)
+        return Inversion(gain * F.frequency_response(lines)[:, None, None] * inverse)
 
-    def norm_optimal(self, parameters):
+    def norm_optimal(parameters):
         """Of a model, with a weight."""
-        return NormOptimal(
-            self.problem.response.models[0], 10 ** parameters[0] * self.size**2, self.samples
-        )
+        return NormOptimal(model, 10 ** parameters[0] * size, samples)
+
+    ridge = (-10, 1)  # in |P|^2
+    designs = {
+        "PD": (proportional_derivative, [(-1.5, 0.5), (-2, 2), (0, 2.2)], m),
+        "least squares": (least_squares, [(0, 2.2), (-0.5, 2.2), ridge], 1),
+        "inversion": (zero_phase_inversion, [(-1, 0.3), ridge, (-0.5, 1.5)], 1),
+    }
+    if model is not None:
+        designs["norm-optimal"] = norm_optimal, [ridge], 1
+    return designs
 
 
-BOXES = {  # powers of ten
-    "proportional_derivative": [(-1.5, 0.5), (-2, 2), (0, 2.2)],  # gain P at rest, samples, samples
-    "least_squares": [(0, 2.2), (-0.5, 2.2), (-10, 1)],  # samples, samples, in |P|^2
-    "zero_phase_inversion": [(-1, 0.3), (-10, 1), (-0.5, 1.5)],  # gain, in |P|^2, in Q's cut-off
-    "norm_optimal": [(-10, 1)],  # in |P|^2
-}
-
-
-def tuned(design, box, cost, channels=1):
+def tuned(design, box, channels, cost):
     """The best of a box: points spread evenly, and Nelder and Mead from the best of them."""
 
     def of(parameters):
@@ -251,27 +235,20 @@ def row(name):
     """The designs of a plant, each with its RMS on all plants; None where there is none."""
     case = case_of(name)
     with warnings.catch_warnings(action="ignore"):
-        Ts = getattr(case.known, "Ts", None) or case.plants[0].dt
-        Q = zero_phase_butterworth(2, case.cutoff, Ts)
+        Q = zero_phase_butterworth(2, case.cutoff, case.plants[0].dt)
         ours = synthesise(case.known, Q)
-        opponents = Opponents(ours.problem, len(case.reference))
-        designs = {"ours": ours.filter}
-        for key, box in BOXES.items():
-            if key == "norm_optimal" and ours.problem.response.models[0] is None:
-                continue
-            channels = opponents.m if key == "proportional_derivative" else 1
-            design, cost = getattr(opponents, key), lambda L: later(case.errors(Q, L))
-            designs[key] = tuned(design, box, cost, channels)
-    numbers = range(len(case.plants))
+        laws = {"ours": ours.filter}
+        for key, design in opponents(ours.problem, len(case.reference)).items():
+            laws[key] = tuned(*design, lambda L: later(case.errors(Q, L)))
     left = {
-        key: np.array([later(case.errors(Q, L, number)) for number in numbers])
-        for key, L in designs.items()
+        key: np.array([later(case.errors(Q, L, number)) for number in range(1 + len(OFF))])
+        for key, L in laws.items()
     }
     fifth = None
     if name == "double_mass":
         theirs = Case(None, [double_mass(0.5)[0]], case.reference, case.cutoff, noise_size=0.0)
         size = np.sqrt(len(case.reference))  # from an RMS to a 2-norm
-        fifth = {key: size * theirs.errors(Q, L)[[0, 4]] for key, L in designs.items()}
+        fifth = {key: size * theirs.errors(Q, L)[[0, 4]] for key, L in laws.items()}
     return name, base_of(ours.problem), left, fifth
 
 
@@ -290,38 +267,33 @@ def ratios(results):
 
 def losses(rows):
     """How many plants are within the goal, and by name those which are not."""
-    of = {name: ratios(results) for name, _, results, _ in rows}
-    for k, what in enumerate(("on the nominal plant", "on the worst of those off")):
-        beyond = {name: each[k] for name, each in of.items() if each[k] > BEST}
-        worst = sum(ratio > WORST for ratio in beyond.values())
+    of = pd.DataFrame({name: ratios(results) for name, _, results, _ in rows})
+    for (_, each), what in zip(of.iterrows(), ("nominal plant", "worst of those off"), strict=True):
+        beyond = each[each > BEST]
         named = ", ".join(f"{name} ({ratio:.2g})" for name, ratio in beyond.items()) or "none"
         yield (
-            f"Within {BEST} times the best {what}: {len(of) - len(beyond)} of {len(of)}; above "
-            f"{WORST:g} times: {worst}. Not within: {named}."
+            f"Within {BEST} times the best on the {what}: {len(each) - len(beyond)} of {len(each)};"
+            f" above {WORST:g} times: {sum(beyond > WORST)}. Not within: {named}."
         )
 
 
 def table_of(rows):
     """The rows as a table in Markdown, what is lost, and the double mass of others."""
-    lines, fifth = [], next(each for *_, each in rows if each)
+    lines, laws = [], ["ours", "PD", "least squares", "inversion", "norm-optimal"]
     for name, base, results, _ in rows:
-        cells = [
-            f"{each[0]:.2g}, {each[1:3].max():.2g}, {each[3:].max():.2g}"
-            if (each := results.get(key)) is not None
-            else "none"
-            for key in DESIGNS
-        ]
-        nominal, off = ratios(results)
-        lines.append([name, base, *cells, f"{nominal:.2f}", f"{off:.2f}"])
-    titles = ["plant", "base", *DESIGNS.values(), "ratio", "ratio, off"]
-    theirs = ", ".join(f"{DESIGNS[key]} {last:.3f}" for key, (_, last) in fifth.items())
-    parts = [table(titles, lines), *losses(rows)]
-    first = fifth["ours"][0]
-    parts.append(
-        f"Double mass, load of 1.5, 2-norm of the error from {first:.2f} in trial 1 to that in "
-        f"trial 5: {theirs}; its authors' two laws 0.636 and 0.562."
+        cells = dict.fromkeys(laws, "none") | {
+            law: f"{each[0]:.2g}, {each[1:3].max():.2g}, {each[3:].max():.2g}"
+            for law, each in results.items()
+        }
+        lines.append([name, base, *cells.values(), *(f"{ratio:.2f}" for ratio in ratios(results))])
+    fifth = next(each for *_, each in rows if each)
+    theirs = ", ".join(f"{law} {last:.3f}" for law, (_, last) in fifth.items())
+    said = (
+        f"Double mass, load of 1.5, 2-norm of the error from {fifth['ours'][0]:.2f} in trial 1 to "
+        f"that in trial 5: {theirs}; its authors' two laws 0.636 and 0.562."
     )
-    return "\n\n".join(parts)
+    titles = ["plant", "base", *laws, "ratio", "ratio, off"]
+    return "\n\n".join([table(titles, lines), *losses(rows), said])
 
 
 def of_rod(root):
@@ -332,37 +304,37 @@ def of_rod(root):
         responses(loop, [draw(spread, k, 2 * root + i) for k in range(count)], omega)
         for i, count in ((1, RODS), (2, OTHERS))
     )
-    P, rows = loop.frequency_response(omega), {}
-    size = np.linalg.norm(P[omega <= Q.cutoff], 2, axis=(1, 2)).max()
+    P, rows = loop.frequency_response(omega), []
     choices = {"M_max": 0.97, "band": ROD_BAND}
     for b, order in FILTERS:
         L = NormOptimal(loop.P, b**2, 600)
         if order is not None:
+            base = b / size_of(P, omega, Q)
             try:
                 with warnings.catch_warnings(action="ignore"):
-                    given = [P, *bounds], Q, omega, 1.0
-                    L = synthesise(*given, base=b / size, order=order, **choices).filter
+                    L = synthesise([P, *bounds], Q, omega, 1.0, base=base, order=order, **choices)
             except InfeasibleError:
-                rows[b, order] = None
+                rows.append([np.nan] * 4)
                 continue
+            L = L.filter
         nominal = convergence(P, Q, L, omega).mean(ROD_BAND)
         reached = convergence(others, Q, L, omega)
         means, monotone = reached.mean(ROD_BAND), np.mean(reached.gamma < 1)
-        rows[b, order] = nominal, np.median(means), np.quantile(means, 0.95), 100 * monotone
+        rows.append([nominal, np.median(means), np.quantile(means, 0.95), 100 * monotone])
     return rows
 
 
 def table_of_rod(draws):
     """Ranges over the draws, in Markdown."""
     lines = []
-    for b, order in FILTERS:
-        found = np.array([each for rows in draws if (each := rows[b, order]) is not None]).T
+    for (b, order), found in zip(FILTERS, np.moveaxis(draws, 0, 2), strict=True):
+        ends = zip(*(f(found, axis=1) for f in (np.nanmin, np.nanmax, np.nanmedian)), strict=True)
         cells = [
-            f"{each.min():.3f} to {each.max():.3f}, {np.median(each):.3f}" for each in found[:3]
+            f"{low:.{digits}f} to {high:.{digits}f}, {median:.{digits}f}"
+            for digits, (low, high, median) in zip((3, 3, 3, 2), ends, strict=True)
         ]
-        cells.append(f"{found[3].min():.2f} to {found[3].max():.2f}, {np.median(found[3]):.2f}")
         what = f"B K, b = {b}, {order} taps" if order else f"norm-optimal, b = {b}"
-        lines.append([what, *cells, f"{len(draws) - found.shape[1]}"])
+        lines.append([what, *cells, f"{np.isnan(found[0]).sum()}"])
     titles = ["L", "nominal", "median", "95 %", "monotone (%)", "infeasible"]
     return table(titles, lines)
 
