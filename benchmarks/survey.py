@@ -8,10 +8,8 @@ must end with a certified filter, or with an InfeasibleError whose smallest M_ma
 a sample.
 """
 
-import sys
 import time
 import warnings
-from dataclasses import dataclass
 
 import control
 import numpy as np
@@ -20,7 +18,6 @@ from kinds import S, delay, resonance, sampled
 from runner import publish, run
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
-from ilctools.filters import ZeroPhaseButterworth
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
@@ -33,18 +30,6 @@ FAMILIES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Problem:
-    """One problem of the survey: the arguments of synthesise, and what it is."""
-
-    family: str
-    model: control.StateSpace  # of the first of the plants
-    plants: list[np.ndarray]
-    Q: ZeroPhaseButterworth
-    omega: np.ndarray
-    options: dict
-
-
 def lag(T, Ts):
     """1 / (T s + 1) behind a zero-order hold."""
     a = np.exp(-Ts / T)
@@ -54,16 +39,14 @@ def lag(T, Ts):
 def under_feedback(plant, crossover):
     """The unit feedback loop of a plant with a proportional gain for a given crossover."""
     gain = 1 / np.abs(plant(np.exp(1j * crossover * plant.dt)))
-    loop = control.feedback(gain * plant, 1)
-    while np.abs(loop.poles()).max() >= 0.9999:
+    while np.abs((loop := control.feedback(gain * plant, 1)).poles()).max() >= 0.9999:
         gain /= 1.5
-        loop = control.feedback(gain * plant, 1)
     return loop
 
 
 def plant_of(family, rng, order):
     """A stable loop of the family, with unit gain at frequency zero unless it is random."""
-    Ts = float(rng.choice([0.001, 0.1, 1.0, 60.0]))
+    Ts = rng.choice([0.001, 0.1, 1.0, 60.0])
 
     def power(low, high, size=None):
         return 10 ** rng.uniform(low, high, size)
@@ -79,20 +62,19 @@ def plant_of(family, rng, order):
         case "slow integrator":
             return under_feedback(control.ss(1, Ts, 1, 0, Ts), power(-3, -0.5) / Ts)
         case "short delay" | "long delay":
-            ends = 0, order + 1, 2 * order + 10
-            samples = rng.integers(*(ends[:2] if family == "short delay" else ends[1:]))
-            return delay(samples, Ts) * lag(Ts * power(0, 2), Ts)
+            ends = [0, order + 1] if family == "short delay" else [order + 1, 2 * order + 10]
+            return delay(rng.integers(*ends), Ts) * lag(Ts * power(0, 2), Ts)
         case "resonance":
             return sampled(resonance(power(-2, -0.3) / Ts, 0.01), Ts)
         case "non-minimum phase":
             T, b = Ts * power(0.5, 2), rng.uniform(0.1, 2)
             return sampled((1 - b * T * S) / (T * S + 1) ** 2, Ts)
         case "tanks":
-            m = int(rng.integers(2, 4))
+            m = rng.integers(2, 4)
             rates = power(-2.5, -1, m)
             A = np.diag(rates[:-1] * rng.uniform(0.1, 0.9, m - 1), -1) - np.diag(rates)
             return sampled(control.ss(A, np.diag(rates), np.eye(m), 0), 1.0)
-    m, states = int(rng.integers(1, 5)), int(rng.integers(1, 9))
+    m, states = rng.integers(1, 5), rng.integers(1, 9)
     A = rng.standard_normal((states, states))
     A *= rng.uniform(0.5, 0.98) / np.abs(np.linalg.eigvals(A)).max()
     B, C = rng.standard_normal((states, m)), rng.standard_normal((m, states))
@@ -106,30 +88,29 @@ def plant_of(family, rng, order):
 
 
 def problem(number):
-    """Problem of that number, the same in every run."""
+    """Problem of that number, the same in every run: its model, and the arguments of synthesise."""
     rng = np.random.default_rng([0, number])
-    family = FAMILIES[number % len(FAMILIES)]
-    order = int(rng.choice([1, 2, 3, 5, 10, 15, 20, 30, 40]))
-    model = plant_of(family, rng, order)
+    order = rng.choice([1, 2, 3, 5, 10, 15, 20, 30, 40])
+    model = plant_of(FAMILIES[number % len(FAMILIES)], rng, order)
     Ts = model.dt
-    n = int(rng.choice([100, 200, 400, 1000, 2000], p=[0.3, 0.3, 0.25, 0.1, 0.05]))
+    n = rng.choice([100, 200, 400, 1000, 2000], p=[0.3, 0.3, 0.25, 0.1, 0.05])
     low = 10 ** rng.uniform(-4, -2)
     spacing = np.geomspace if rng.random() < 0.7 else np.linspace
     omega = spacing(low, np.pi, n) / Ts
     cutoff = 10 ** rng.uniform(-1.5, -0.2) / Ts
-    Q = zero_phase_butterworth(int(rng.integers(1, 4)), cutoff, Ts)
+    Q = zero_phase_butterworth(rng.integers(1, 4), cutoff, Ts)
     P = frequency_response(model, omega)
     band = (omega[0], max(omega[3], cutoff * 10 ** rng.uniform(-1.5, 0)))
     at_cutoff = np.abs(omega - cutoff).argmin()
     inverse = 1 / np.linalg.svd(P[at_cutoff], compute_uv=False)[[-1, -1, -1, 0, 0]]
-    bounds = [None, *(np.array([1e3, 10, 2.5, 2.5, 0.3]) * inverse).tolist()]
+    bounds = [None, *(np.array([1e3, 10, 2.5, 2.5, 0.3]) * inverse)]
     options = {
         "order": min(order, n),
         "band": band,
         "L_max": bounds[rng.integers(6)],
-        "M_max": float(rng.choice([0.8, 0.9, 0.99])),
-        "structure": str(rng.choice(["diagonal", "full"])),
-        "objective": str(rng.choice(["sum", "peak"], p=[0.7, 0.3])),
+        "M_max": rng.choice([0.8, 0.9, 0.99]),
+        "structure": rng.choice(["diagonal", "full"]),
+        "objective": rng.choice(["sum", "peak"], p=[0.7, 0.3]),
     }
     plants = [P]
     if number % 2:  # more than the nominal plant
@@ -137,13 +118,11 @@ def problem(number):
         kind = rng.choice(["plants", "norm", "plants and norm"])
         size = rng.choice([0.01, 0.05, 0.2])
         if "plants" in kind:
-            count = rng.integers(1, 6)
-            gains = 1 + size * rng.uniform(-1, 1, (count, *P.shape[1:]))
-            plants += [*(P * gain for gain in gains)]
+            gains = rng.uniform(-1, 1, (rng.integers(1, 6), *P.shape[1:]))
+            plants += [P * (1 + size * gain) for gain in gains]
         if "norm" in kind:
-            radius = 0.5 * size * np.linalg.norm(P, 2, axis=(1, 2))
-            options["uncertainty"] = radius
-    return Problem(family, model, plants, Q, omega, options)
+            options["uncertainty"] = 0.5 * size * np.linalg.norm(P, 2, axis=(1, 2))
+    return model, (plants, Q, omega, Ts), options
 
 
 def ending(solve, *arguments, **options):
@@ -158,58 +137,60 @@ def ending(solve, *arguments, **options):
     return end, value, time.process_time() - start
 
 
-def everywhere(p, flag):
-    """The problem of one plant as that of a model, with bounds at every frequency or not."""
-    options = p.options | {"everywhere": flag}
-    return certified(pose(p.model, p.Q, p.omega, **options), check=flag)
+def everywhere(*arguments, **options):
+    """The problem of a model, with bounds at every frequency or not."""
+    return certified(pose(*arguments, **options), check=options["everywhere"])
 
 
-def peak(p):
+def peak(plants, Q, omega, Ts, order, structure, **_):
     """The least possible peak of sigma_max(M) without a bound on L, by CVXPY."""
-    kind = {"order": p.options["order"], "structure": p.options["structure"], "objective": "peak"}
-    Q = p.Q.frequency_response(p.omega)
-    return statement(p.plants[0], Q, p.omega, p.model.dt, M_max=1 - 1e-9, **kind)[1]
+    kind = {"order": order, "structure": structure, "objective": "peak"}
+    return statement(plants[0], Q.frequency_response(omega), omega, Ts, M_max=1 - 1e-9, **kind)[1]
 
 
 def outcome(number):
     """How the problem ends; of one plant without a bound on L it goes to CVXPY if infeasible."""
-    p = problem(number)
+    model, arguments, options = problem(number)
     with warnings.catch_warnings(action="ignore"):
-        arguments = p.plants, p.Q, p.omega, p.model.dt
-        end, value, seconds = ending(synthesise, *arguments, **p.options)
-        row = {"number": number, "family": p.family, "end": end, "value": value}
-        row["seconds"] = seconds
+        end, value, seconds = ending(synthesise, *arguments, **options)
+        row = {"number": number, "end": end, "seconds": seconds}
         if end == "certified" and number % 2 == 0:
-            nominal, wide = (ending(everywhere, p, flag) for flag in (False, True))
+            _, Q, omega, _ = arguments
+            nominal, wide = (
+                ending(everywhere, model, Q, omega, **options, everywhere=flag)
+                for flag in (False, True)
+            )
             row |= {"everywhere": wide[0], "ratio": wide[2] / nominal[2]}
-        if end == "infeasible" and number % 2 == 0 and p.options["L_max"] is None:
-            row["confirmed"] = abs(peak(p) / value - 1) <= 1e-4
+        if end == "infeasible" and number % 2 == 0 and options["L_max"] is None:
+            row["confirmed"] = abs(peak(*arguments, **options) / value - 1) <= 1e-4
     return row
 
 
+def counted(ends):
+    """How many end well, are infeasible, and fail."""
+    known = ["certified", "infeasible"]
+    counts = ends.dropna().where(ends.isin(known), "failed").value_counts()
+    return counts.reindex([*known, "failed"], fill_value=0)
+
+
 def main(numbers=range(PROBLEMS)):
-    """Print what goes wrong; the counts go to figures/performance.md."""
+    """Print one problem of each end; the counts go to figures/performance.md."""
     rows = pd.DataFrame(run(outcome, numbers))
-    ends = rows.end.where(rows.end.isin(["certified", "infeasible"]), "failed")
-    wrong = (ends == "failed") | (rows.confirmed == False)  # noqa: E712
-    wide, ratio = rows.everywhere.dropna(), rows.ratio.dropna()
-    named = rows[wrong | rows.index.isin(wide.index[wide != "certified"])]
-    print(named.to_string(), rows.nlargest(5, "ratio").to_string(), sep="\n\n")
-    counts, confirmed = ends.value_counts(), rows.confirmed.dropna().astype(bool)
-    certain, infeasible = ((wide == end).sum() for end in ("certified", "infeasible"))
-    text = f"""{len(rows)} problems: {counts["certified"]} end with a certified filter, \
-{counts["infeasible"]} are infeasible, {counts.get("failed", 0)} fail. CVXPY confirms the smallest \
+    print(rows.drop_duplicates(["end", "everywhere", "confirmed"]).to_string())
+    confirmed, ratio = rows.confirmed.dropna().astype(bool), rows.ratio.dropna()
+    ends, wide = counted(rows.end), counted(rows.everywhere)
+    text = f"""{len(rows)} problems: {ends.certified} end with a certified filter, \
+{ends.infeasible} are infeasible, {ends.failed} fail. CVXPY confirms the smallest \
 M_max of {confirmed.sum()} of the {len(confirmed)} infeasible ones that it was given. Time on one \
 core: median {rows.seconds.median():.1f} s, longest {rows.seconds.max():.0f} s.
 
-With `everywhere=True`, of the {len(wide)} that are certified and have one plant: {certain} end \
-with bounds at every frequency, {infeasible} are infeasible then, \
-{len(wide) - certain - infeasible} fail. It takes {ratio.median():.1f} times as long (median), for \
+With `everywhere=True`, of the {wide.sum()} that are certified and have one plant: \
+{wide.certified} end with bounds at every frequency, {wide.infeasible} are infeasible then, \
+{wide.failed} fail. It takes {ratio.median():.1f} times as long (median), for \
 {(ratio > 3).mean():.0%} more than three times, {ratio.max():.0f} times at most.
 """
     publish("survey", text)
-    return counts.get("failed", 0) > 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -6,7 +6,6 @@ log. It is well if the trials learn, or if a warning or an error for the user sa
 failure is what does neither: silence, an error of another kind, a log that does not replay.
 """
 
-import sys
 import tempfile
 import warnings
 from collections import Counter
@@ -23,18 +22,20 @@ from ilctools.trials.rms import rms
 TRIALS = 10
 OFF = (1.0, 3.0)  # how far the rigs are off: by some ten percent, and by three times that
 LEARNED, LOUD = 1 / 3, 2.0  # of the first RMS; or times the noise of the sensors
+NUMBERS = [
+    "off", "channels", "Ts (s)", "rate promised", "on the rig", "RMS of trial 1", "of the last",
+    "noise",
+]  # fmt: skip
 WORSE = 3.0  # times the best RMS, or the noise: what got worse again has not learned
-WELL = {"learned", "said so"}
 
 
 def go(row, kind, path, trials):
     """The whole way of one kind; each result goes into the row at once."""
     loop, reference, channels = kind.loop, kind.reference, len(kind.loop.outputs)
-    row |= {"channels": channels, "Ts": loop.Ts}
-    row["noise"] = kind.bench.noise * np.sqrt(channels)
+    row |= {"channels": channels, "Ts (s)": loop.Ts, "noise": kind.bench.noise * np.sqrt(channels)}
     Q = zero_phase_butterworth(2, kind.cutoff, loop.Ts)
-    design = synthesise(loop if kind.known is None else kind.known, Q)
-    row["promised"] = design.certificate.all_M
+    design = synthesise(kind.given, Q)
+    row["rate promised"] = design.certificate.all_M
     try:
         row["on the rig"] = design.check(kind.P).gamma
     except ValueError as error:  # no loop that is stable
@@ -45,7 +46,7 @@ def go(row, kind, path, trials):
         row["failure"] = "the log departs from its law"
 
 
-def outcome(name, off=1.0, trials=TRIALS):
+def outcome(name, off, trials=TRIALS):
     """How one kind ends: a row of the table."""
     row = {"kind": name, "off": off, "said": []}
     with warnings.catch_warnings(record=True) as raised, tempfile.TemporaryDirectory() as folder:
@@ -73,29 +74,23 @@ def end_of(row):
 
 def table_of(rows):
     """The rows as a table in Markdown."""
-    titles = ["kind", "off", "channels", "Ts (s)", "rate promised", "on the rig", "RMS of trial 1",
-              "of the last", "noise", "warned", "end"]  # fmt: skip
     lines = []
     for row in rows:
-        rig, x = row.get("on the rig", np.nan), row.get("rms", [np.nan])
-        numbers = [row["off"], row["channels"], row["Ts"], row["promised"], rig]
-        numbers += [x[0], x[-1], row["noise"]]
+        x = row.get("rms", [np.nan])
+        row |= {"RMS of trial 1": x[0], "of the last": x[-1]}
+        numbers = [row.get(title, np.nan) for title in NUMBERS]
         cells = [f"{value:.3g}" if np.isfinite(value) else "none" for value in numbers]
         lines.append([row["kind"], *cells, "yes" if row["said"] else "", row["end"]])
-    return table(titles, lines)
+    return table(["kind", *NUMBERS, "warned", "end"], lines)
 
 
-WAYS = [(name, off) for off in OFF for name in KINDS]
-
-
-def main(ways=WAYS):
-    """The table goes to figures/performance.md; whether any end is not well."""
+def main(ways=tuple((name, off) for off in OFF for name in KINDS)):
+    """The table goes to figures/performance.md."""
     rows = list(run(outcome, ways))
     ends = Counter(row["end"] for row in rows)
     counts = ", ".join(f"{count} {end}" for end, count in ends.most_common())
     publish("whole_way", f"{table_of(rows)}\n\n{len(rows)} ways: {counts}.\n")
-    return bool({*ends} - WELL)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
