@@ -25,8 +25,7 @@ def measured(seed, **parameters):
 
 def response_and_radii(seed):
     response = measured(seed)
-    radii = [response.radius(share, jointly=True) for share in CONFIDENCES]
-    return response.response, radii
+    return response.response, [response.radius(share, jointly=True) for share in CONFIDENCES]
 
 
 def main(seeds=SEEDS):

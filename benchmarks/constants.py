@@ -5,6 +5,7 @@ for all frequencies together.
 """
 
 import warnings
+from itertools import product
 
 import numpy as np
 from regions import KINDS, response
@@ -38,21 +39,18 @@ def changed(name, factor):
     value = getattr(module, name)
     setattr(module, name, type(value)(value * factor))
     try:
-        return [
-            np.median([worst(kind, seed) for seed in range(RECORDS)], axis=0) for kind in CHOSEN
-        ]
+        found = [[worst(kind, seed) for seed in range(RECORDS)] for kind in CHOSEN]
+        return np.median(found, axis=1)
     finally:
         setattr(module, name, value)
 
 
 def main():
-    cases = [("SHARE", 1), *((name, factor) for name in CONSTANTS for factor in (0.5, 2))]
+    cases = [("SHARE", 1), *product(CONSTANTS, (0.5, 2))]
     (usual, *others), rows = run(changed, cases), []
-    for (name, factor), kinds in zip(cases[1:], others, strict=True):
-        cells = [
-            f"{radius / own:.2f}, {off:.2f}"
-            for (radius, off), (own, _) in zip(kinds, usual, strict=True)
-        ]
+    for (name, factor), found in zip(cases[1:], others, strict=True):
+        relative = zip(found[:, 0] / usual[:, 0], found[:, 1], strict=True)
+        cells = [f"{radius:.2f}, {off:.2f}" for radius, off in relative]
         rows.append([name, f"{getattr(CONSTANTS[name], name):g}", f"{factor:g}", *cells])
     rows.append(["none", "", "", *(f"1, {off:.2f}" for _, off in usual)])
     publish("constants", table(["constant", "value", "times", *CHOSEN], rows))

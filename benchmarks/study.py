@@ -18,7 +18,8 @@ from rodlib.paper import published
 
 RODS, DRAWS, SAMPLED = 1000, 10, 200  # the last: others, for which the robust filter is designed
 PLACES = {"in place": 0.0, "2 mm": 0.25, "8 mm": 1.0}  # as a share of what all else is off by
-LOOP, Q, LOWER = paper_loop(), *(zero_phase_butterworth(2, cut, 1.0) for cut in (0.1, 0.025))
+LOOP = paper_loop()
+Q, LOWER = zero_phase_butterworth(2, 0.1, 1.0), zero_phase_butterworth(2, 0.025, 1.0)
 OMEGA = np.union1d(np.geomspace(1e-4, 0.3, 100), np.linspace(0.3, np.pi, 100))
 CRITICAL = np.geomspace(5e-3, 0.5, 50)  # where rods are judged: below, and above, M is small
 
@@ -70,9 +71,8 @@ def main():
         [law, *(f"{low:.1%} to {high:.1%}" for low, high in ends[:, i].reshape(-1, 2))]
         for i, law in enumerate(laws())
     ]
-    kinds = ("converge", "monotonically")
-    titles = [f"{kind}, {place}" for place in PLACES for kind in kinds]
-    publish("study", table(["law", *titles], rows) + "\n")
+    titles = [f"{kind}, {place}" for place in PLACES for kind in ("converge", "monotonically")]
+    publish("study", table(["law", *titles], rows))
 
 
 if __name__ == "__main__":
