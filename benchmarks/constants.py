@@ -16,11 +16,9 @@ from ilctools.measurement import estimation, regression
 
 RECORDS = 10
 CHOSEN = "steps", "resonance, noise", "learning, 2 trials"
-CONSTANTS = {
-    "SHARE": regression, "CLOSE": regression, "STEP": regression, "KNOTS": regression,
-    "HEAVY": regression, "LATE": regression, "STEPS": regression,
-    "INDEPENDENT": estimation, "JOINT": estimation,
-}  # fmt: skip
+CONSTANTS = dict.fromkeys(
+    ["SHARE", "CLOSE", "STEP", "KNOTS", "HEAVY", "LATE", "STEPS"], regression
+) | dict.fromkeys(["INDEPENDENT", "JOINT"], estimation)
 
 
 def worst(kind, seed):

@@ -107,7 +107,7 @@ class Driver:
 def bump(samples, heights):
     """Rest, up, and back to rest: as smooth as a cosine, one for each channel."""
     t = np.clip((np.arange(samples) / samples - 0.1) / 0.7, 0, 1)
-    return np.outer(0.5 * (1 - np.cos(2 * np.pi * t)), heights)
+    return np.outer(np.sin(np.pi * t) ** 2, heights)
 
 
 def flow(f, Ts, steps=1):

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
+import study
 from kinds import KINDS, bump
 from plants_of_peers import PLANTS, double_mass, their_reference
 from runner import publish, run, table
@@ -35,7 +36,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.models import impulse_response
-from rodlib import Spread, draw, fit_heat_balance, heat_balance, paper_loop, responses
+from rodlib import fit_heat_balance, heat_balance, responses
 from rodlib.paper.repository import ROOT
 
 OFF = (1, -1, 2, -2)  # in ten percent
@@ -46,7 +47,7 @@ POINTS, FURTHER = 7, 120  # 2^7 points in a box, and steps from the best of them
 BEST, WORST = 1.2, 3.0  # times the best of the others: the goals
 BOARDS = ("board-1s", "board-3s")
 HUGE = 1e30  # of an error: enough
-DRAWS, RODS, OTHERS, SPREAD = 10, 300, 400, 0.2
+DRAWS, RODS, OTHERS = 10, 300, 400
 FILTERS = ((0.2, None), (0.25, None), (0.3, None), (0.3, 3), (0.3, 21))  # b; order of K
 ROD_BAND = (1e-4, 0.02)  # rad/s
 
@@ -260,9 +261,8 @@ def base_of(problem):
 
 def ratios(results):
     """RMS of ours in the least of the others: nominal, and the worst of the plants off."""
-    ours, *others = results.values()
-    best = np.min([[each[0], each[1:].max()] for each in others], axis=0)
-    return np.array([ours[0], ours[1:].max()]) / best
+    ours, *others = np.array([[each[0], each[1:].max()] for each in results.values()])
+    return ours / np.min(others, axis=0)
 
 
 def losses(rows):
@@ -298,12 +298,11 @@ def table_of(rows):
 
 def of_rod(root):
     """Of one draw of rods for the bounds and one to judge: mean of sigma_max(M), and its shares."""
-    loop, Q, spread = paper_loop(), zero_phase_butterworth(2, 0.1, 1.0), Spread.of_all(SPREAD)
-    omega = np.union1d(np.geomspace(ROD_BAND[0], 0.3, 100), np.linspace(0.3, np.pi, 100))
+    loop, Q, omega = study.LOOP, study.Q, study.OMEGA
     bounds, others = (
-        responses(loop, [draw(spread, k, 2 * root + i) for k in range(count)], omega)
+        responses(loop, study.rods("8 mm", 2 * root + i, count), omega)
         for i, count in ((1, RODS), (2, OTHERS))
-    )
+    )  # whose sensors are off by as much as all else
     P, rows = loop.frequency_response(omega), []
     choices = {"M_max": 0.97, "band": ROD_BAND}
     for b, order in FILTERS:
@@ -319,8 +318,8 @@ def of_rod(root):
             L = L.filter
         nominal = convergence(P, Q, L, omega).mean(ROD_BAND)
         reached = convergence(others, Q, L, omega)
-        means, monotone = reached.mean(ROD_BAND), np.mean(reached.gamma < 1)
-        rows.append([nominal, np.median(means), np.quantile(means, 0.95), 100 * monotone])
+        means = np.quantile(reached.mean(ROD_BAND), [0.5, 0.95])
+        rows.append([nominal, *means, 100 * np.mean(reached.gamma < 1)])
     return rows
 
 

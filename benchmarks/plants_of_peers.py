@@ -13,7 +13,7 @@ from kinds import EXCHANGE, S, delay, resonance, sampled
 def closed(plant, controller, Ts, late=0):
     """A loop with unit feedback, a controller by Tustin's rule and a delay of some samples."""
     G = sampled(plant, Ts) * delay(late, Ts) * sampled(controller, Ts, "tustin")
-    return control.feedback(G, control.ss([], [], [], np.eye(G.noutputs), Ts))
+    return control.feedback(G, np.eye(G.noutputs))
 
 
 def lead(crossover):

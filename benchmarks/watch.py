@@ -102,11 +102,11 @@ WRONG = {
 
 def quiet_row(name, results):
     """A row of the table of false alarms."""
-    trials, false = sum(count for count, _ in results), sum(bool(a) for _, a in results)
-    kinds = Counter(SHORT[kind] for _, alarm in results for kind in alarm)
+    counts, found = zip(*results, strict=True)
+    trials, false = sum(counts), sum(map(bool, found))
+    kinds = Counter(SHORT[kind] for alarm in found for kind in alarm)
     words = ", ".join(f"{word} {count}" for word, count in kinds.items()) or "none"
-    rate = f"{1000 * false / trials:.2f}"
-    return [name, words, f"{len(results)}", f"{trials}", f"{false}", rate]
+    return [name, words, f"{len(found)}", f"{trials}", f"{false}", f"{1000 * false / trials:.2f}"]
 
 
 def loud_row(kind, repeats):
