@@ -89,6 +89,8 @@ def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
     omega = np.geomspace(1e-2, np.pi, 60)
     low = zero_phase_butterworth(2, 0.5, 1.0)
     design = synthesise(COUPLED, low, omega, order=7, base=0.2, L_max=None)
+    printed = f"{design}\n{design.certificate.details}"
+    assert "order = 7 of K in L = B K" in printed and "of a K whose" in printed
     problem = design.problem
     through = problem.P @ problem.of_K
     _, value = statement(

@@ -121,7 +121,9 @@ REFUSED = {  # what the error says, and a call
     r"e has dimensions \('time',\)": lambda: rms(xr.DataArray(ZERO[:, 0], dims="time")),
     "P has a radius, for which a design answers": lambda: convergence(
         measured_response(control.frd(P.T, OMEGA), uncertainty=0.1 * np.abs(P.ravel())),
-        Q, LAW.L, OMEGA,
+        Q,
+        IN_MS,
+        OMEGA,
     ),
     "order = 10 .* 5 frequencies": lambda: synthesise(P[:5], Q, OMEGA[:5], TS, order=10),
     "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(

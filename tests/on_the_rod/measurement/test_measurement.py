@@ -146,6 +146,7 @@ def test_the_rig_is_measured(loop, quick):
     G = sampled_response(MISMATCHED, measured.omega, 1.0)[:, :, [0, 2]]
     error = off(measured.response, loop.frequency_response(measured.omega, G))
     assert np.all(error < measured.radius(0.999, jointly=True))
+    measured.plot().canvas.draw()  # noise and distortion, too
 
 
 def test_shaking_is_logged_and_gone_on_with(loop, tmp_path):

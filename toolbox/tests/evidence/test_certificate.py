@@ -174,6 +174,7 @@ def test_on_a_model_it_is_proven(design, gain, monotone):
     assert result.gamma == pytest.approx(gamma, rel=1e-8) and result.proven
     assert result.at == pytest.approx(omega, rel=1e-3)
     assert result.monotone == monotone == result.converges
+    assert repr(result).startswith("converges monotonically" if monotone else "diverges")
     assert result.assumptions == ()
     assert as_array.gamma == pytest.approx(gamma, rel=1e-3) and not as_array.proven
     assert result.spectral_radius == pytest.approx(gamma, rel=2e-6)  # of one channel
