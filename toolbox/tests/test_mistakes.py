@@ -141,14 +141,10 @@ REFUSED = {  # what the error says, and a call
         ClosedLoop(TURNED), OF_AXES.law(), TWO
     ),
     r"design.labels = \['x', 'y', .* P.labels = \['y', 'x'": lambda: OF_AXES.check(TURNED),
-    r"P\[0\].labels = .* P\[1\].labels = \['y', 'x'": lambda: synthesise(
-        [axes(), TURNED], OF_AXES.Q
-    ),
     "loop.labels = .* plant.labels": lambda: run_trials(AXES, OF_AXES.law(), TWO, plant=TURNED),
     r"design.units\['x'\] = 'm', P.units\['x'\] = 'mm'": lambda: OF_AXES.check(
         ClosedLoop(axes(), units={"x": "mm"})
     ),
-    "Q.Ts = 1.0, L.Ts = 2.0": lambda: replace(LAW, L=replace(LAW.L, Ts=2.0)),
     "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s": lambda: transfer(
         LOG.assign_coords(time=0.5 * LOG.time), MOVE
     ),

@@ -270,7 +270,7 @@ class Certificate:
             "the same of the nominal plant": self.worst.peaks[0] if problem.robust else None,
             f"{M}, at all frequencies, of models alone, proven": highest(self.exact),
             f"{M}, {_span(problem.omega)}, on a dense grid, estimated": highest(self.estimated),
-            f"{M}, above {last:.4g} rad/s at most, assumed": self.beyond,
+            f"{M} at most, above {last:.4g} rad/s, assumed": self.beyond,
             "L_max": problem.L_max,
             f"{L} on the design grid": self.grid_L,
             f"{L} at all frequencies": self.all_L,

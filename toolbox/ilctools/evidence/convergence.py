@@ -39,7 +39,6 @@ class Convergence:
     gamma: float  # Lemma 1: the largest of them
     at: float  # the frequency of gamma, rad/s; the lowest of those that are tied
     spectral_radius: float  # largest |eigenvalue of M|
-    responses: tuple[np.ndarray, np.ndarray, np.ndarray]  # P, Q, L
     proven: bool = False  # whether gamma holds at all frequencies
     uncertain: bool = False  # whether P may be another, for which the trials diverge
     assumptions: tuple[str, ...] = ()  # what P and its radius rest on
@@ -174,7 +173,6 @@ def from_responses(omega, P, Q, L) -> Convergence:
         gamma=sigma.max(axis=-1),
         at=np.asarray(omega)[tied(sigma.T).argmax(axis=0)],
         spectral_radius=radius.max(axis=-1),
-        responses=(P, Q, L),
     )
 
 

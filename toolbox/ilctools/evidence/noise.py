@@ -27,7 +27,7 @@ from functools import partial
 import numpy as np
 
 from ilctools import arguments
-from ilctools.evidence.convergence import convergence
+from ilctools.filters import check_learning
 from ilctools.law.law import Law
 from ilctools.loop.closed import CurrentTrialLoop, whole_loop
 from ilctools.models import frequency_response
@@ -172,9 +172,11 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
     arguments.instance("law", law, Law)
     x = new.measured
     check_match(noise=x, law=law)
-    P, Q, L = convergence(new.P, law.Q, law.L, x.omega).responses
+    P, m = new.P, new.P.shape[1]
+    check_learning(law.L, m, "law.L")
+    Q, L = (f.frequency_response(x.omega) for f in (law.Q, law.L))
     M = convergence_matrix(P, Q, L)
-    M = (1 - law.gain) * np.eye(M.shape[1]) + law.gain * M
+    M = (1 - law.gain) * np.eye(m) + law.gain * M
     QPL = law.gain * (Q[:, None, None] * P @ L)
     learned = replace(x, density=_accumulated(M, _through(QPL, x.density)))
     return TrialNoise(new.P, x + learned, new.true + learned, learned)

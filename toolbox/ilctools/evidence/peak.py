@@ -152,11 +152,8 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
 
         omega = dense_grid(response, k, L)
         sigma = sigma_M(omega)
-        crests, _ = find_peaks(sigma, height=NEAR * level, plateau_size=(1, 1))
-        if len(crests):
-            (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, sigma))
-            left, right = (y - x) / (b - a), (z - y) / (c - b)
-            top = (a + b) / 2 - left * (c - a) / (right - left) / 2  # of the parabola through them
+        top = tops(omega, sigma, NEAR * level)
+        if len(top):
             omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
         known = omega <= response.omega[-1]
         for peaks, there in ((inside, known), (above, ~known)):
@@ -164,6 +161,14 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
                 at = np.where(there, sigma, -1).argmax()
                 peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
     return inside, highest(above)
+
+
+def tops(omega, sigma, height) -> np.ndarray:
+    """Where crests of this height or more are highest, by the parabolas through three points."""
+    crests, _ = find_peaks(sigma, height=height, plateau_size=(1, 1))
+    (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, sigma))
+    left, right = (y - x) / (b - a), (z - y) / (c - b)
+    return (a + b) / 2 - left * (c - a) / (right - left) / 2
 
 
 def dense_grid(response: Response, number, L, times=DENSER) -> np.ndarray:

@@ -95,11 +95,9 @@ def memory(law: Law, period: int) -> float:
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
     """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
     h = finite_response(law)
-    reach, first = len(h) // 2, max(0, start - memory(law, period))
-    x = v[first:] + law.L.apply(e[first:])
-    x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial
+    x = np.pad(v + law.L.apply(e), [(len(h) // 2, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)
-    x = x[before.start - first : before.stop - first + 2 * reach]
+    x = x[before.start : before.stop + len(h) - 1]
     return (1 - law.gain) * v[before] + law.gain * oaconvolve(x, h[:, None], "valid", axes=0)
 
 

@@ -51,10 +51,9 @@ class Excitation:
         arguments.whole("realisations", len(phases), FEWEST)
         if amplitude.min() <= 0:
             raise ValueError(f"amplitude = {amplitude} must be positive numbers")
-        object.__setattr__(self, "harmonics", tuple(self.harmonics))
         rows = tuple(tuple(map(tuple, inputs)) for inputs in phases.tolist())
-        object.__setattr__(self, "phases", rows)
-        object.__setattr__(self, "amplitude", tuple(amplitude.tolist()))
+        amplitude = tuple(amplitude.tolist())
+        vars(self).update(harmonics=tuple(self.harmonics), phases=rows, amplitude=amplitude)
 
     @property
     def channels(self) -> int:

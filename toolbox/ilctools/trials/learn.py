@@ -6,7 +6,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.law.law import Law
-from ilctools.law.repetitive import check_period, next_samples
+from ilctools.law.repetitive import check_period, memory, next_samples
 from ilctools.loop.closed import Loop
 
 Part = dict[str, np.ndarray]  # signals of a trial, or of a part of one, shape (time, channel)
@@ -54,7 +54,11 @@ def next_v(law: Law, first: np.ndarray, reset: bool, parts: Sequence[Part]) -> n
     """v by (23) after these parts; without reset, of the samples that follow from them."""
     if not parts:
         return first
-    signals = joined(parts[-1:] if reset else parts)
+    if reset:
+        parts = parts[-1:]
+    elif not law.limits:  # with them what was applied follows from the start on
+        parts = _last(parts, memory(law, len(first)))
+    signals = joined(parts)
     e = signals["reference"] - signals["y"]
     if reset:
         u = law.loop and law.loop.asked(signals)
@@ -67,6 +71,15 @@ def applied_v(law: Law, signals: Part) -> np.ndarray:
     u = law.loop and law.loop.asked(signals)
     v, _ = law.applied(signals["v"], u, signals.get("applied"))
     return v
+
+
+def _last(parts, samples):
+    """The last parts, as many as have so many samples."""
+    count, done = 0, 0
+    while count < len(parts) and done < samples:
+        count += 1
+        done += len(parts[-count]["v"])
+    return parts[-count:]
 
 
 def joined(parts: Sequence[Part], join: Callable = np.concatenate) -> Part:

@@ -62,7 +62,7 @@ mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s
 {sigma:<11.7g}the same of the nominal plant
 {tables.all_M:<11.7g}sigma_max(M) for each of 3 plants, from 0.01 to 2 rad/s, on a dense grid, \
 estimated
-{tables.beyond.sigma:<11.7g}sigma_max(M) for each of 3 plants, above 2 rad/s at most, assumed
+{tables.beyond.sigma:<11.7g}sigma_max(M) for each of 3 plants at most, above 2 rad/s, assumed
 5          L_max
 {tables.grid_L:<11.7g}sigma_max(L) on the design grid
 {tables.all_L:<11.7g}sigma_max(L) at all frequencies
