@@ -107,7 +107,6 @@ REFUSALS = [  # a plant, arguments, and what the error names
     (tanks(), HELD | {"sizes": {"left": 0}}, r"sizes\['left'\] = 0"),
     (lag(), {"Rs": [[0.0]]}, "Rs must be symmetric and positive definite"),
     (lag(), {"Qs": [[-1.0]]}, "Qs must be symmetric and positive semi"),
-    (lag(), {"Qo": [[1.0, 0.1], [0.0, 1.0]]}, "Qo must be symmetric"),
     (lag(), {"Qo": np.zeros((2, 2))}, "the observer of Qo and Ro is unstable"),
     (stage(), {"controls": ["F"], "Qs": np.diag([1e60, 1e-60])}, "Qs and Rs leave the Riccati"),
     # The input that reaches the unstable mode is a disturbance.
@@ -130,11 +129,3 @@ REFUSALS = [  # a plant, arguments, and what the error names
 def test_bad_plants_and_weights_are_refused(plant, asked, message):
     with pytest.raises(ValueError, match=message):
         current_trial_loop(plant, **asked)
-
-
-def test_what_is_only_nearly_wrong_is_not_refused(loop):
-    hidden = lag(A=[[0.5, 1], [0, 0.2]], B=[[-0.5], [0.25]], C=[[0, 1.0]])
-    assert current_trial_loop(hidden).plant.nstates == 2
-    Rs = [[0.05, 1e-9], [0, 0.05]]  # symmetric up to rounding
-    skew = current_trial_loop(loop.plant, loop.controls, Rs=Rs)
-    np.testing.assert_allclose(skew.Ks, loop.Ks, atol=1e-5)

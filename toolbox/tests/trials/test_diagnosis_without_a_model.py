@@ -19,6 +19,7 @@ from ilctools import (
     transfer,
     zero_phase_butterworth,
 )
+from ilctools.trials.diagnosis import GRID, known_plants, largest_M
 
 PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
@@ -49,6 +50,14 @@ def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
 def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
     with warnings.catch_warnings(action="error"):
         record(axis(gain, seed), LOOP, law, REFERENCE, trials=6)
+
+
+def test_the_rate_is_that_of_the_worst_plant_within_the_radius(law):
+    omega, [P] = GRID / law.Ts, known_plants(law)
+    response, radius = P(omega)
+    Q, L = (f.frequency_response(omega).ravel() for f in (law.Q, law.L))
+    expected = Q * (np.abs(1 - response.ravel() * L) + radius * np.abs(L))
+    np.testing.assert_allclose(largest_M(law, P), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("choices", [{"base": None}, {"scale": [1.0, 3.0], "base": 0.1}])
