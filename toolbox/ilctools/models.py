@@ -5,7 +5,6 @@ output shows; and any plant, a transfer function as well, as such a model in dis
 """
 
 import copyreg
-import math
 import reprlib
 from collections.abc import Sequence
 from contextlib import suppress
@@ -101,23 +100,12 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     x = arguments.array("initial", initial, ("n",))
     A = arguments.array("A", A, (len(x), len(x)))
     forcing = arguments.array("forcing", forcing, ("time", len(x)))
-    # as many blocks as each has samples: x within them = from rest + A^p of the state they start in
-    length = 1 + math.isqrt(len(forcing))
-    f = np.zeros((length**2, len(x)))
-    f[: len(forcing)] = forcing
-    f = f.reshape(length, length, -1).swapaxes(0, 1)  # sample, block, state
-    states, at_rest = np.empty_like(f), np.zeros(f.shape[1:])
-    for p in range(length):
-        states[p] = at_rest
-        at_rest = at_rest @ A.T + f[p]
-    starts, A_block = np.empty_like(at_rest), np.linalg.matrix_power(A, length)
-    for block in range(length):
-        starts[block] = x
-        x = A_block @ x + at_rest[block]
-    for p in range(length):
-        states[p] += starts
-        starts = starts @ A.T
-    return states.swapaxes(0, 1).reshape(-1, len(x))[: len(forcing)]
+    # x(p) is the sum of A^k f(p - 1 - k), f(-1) the start: of 1, 2, 4, ... terms in turn
+    x, power, k = np.vstack([x, forcing[:-1]]), A.T, 1
+    while k < len(x):
+        x[k:] += x[:-k] @ power
+        power, k = power @ power, 2 * k
+    return x
 
 
 def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:

@@ -174,7 +174,6 @@ REFUSED = {  # what the error says, and a call
     ),
     # a law
     "Q = samples": lambda: synthesise(P, Q.frequency_response(OMEGA), OMEGA, TS).law(),
-    r"limits\['pump A'\]\[2\] = 0": lambda: replace(LAW, limits={"pump A": (0, 1, 0)}),
     "v holds .* pass its attribute v": lambda: run_trials(LOOP, LAW, MOVE, v=transfer(LOG, MOVE)),
     "rest = 3 ": lambda: replace(LAW_OF_TWO, rest=3).next(ZERO[:3], ZERO[:3]),
     "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),

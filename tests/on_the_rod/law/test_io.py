@@ -41,7 +41,7 @@ def by_file(law, _, path):
 
 @pytest.mark.parametrize("keep", [by_log, by_file])
 def test_a_law_is_kept_to_the_last_digit(keep, loop, trials, tmp_path):
-    Q, limits = zero_phase_butterworth(3, 1 / 3, 1.0, ends="hold"), {"Q1": (-1.0, 1 / 3, 0.5)}
+    Q, limits = zero_phase_butterworth(3, 1 / 3, 1.0, ends="hold"), {"Q1": (-1.0, 1 / 3)}
     filter_ = LearningFilter(1e9 * L.coefficients, 1.0, "hold")
     law = Law(Q, filter_, rest=7, gain=1 / 3, limits=limits, loop=loop)
     kept = keep(law, trials, tmp_path / "law.csv")

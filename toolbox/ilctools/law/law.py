@@ -37,9 +37,10 @@ class Law:
     gain : float
         Learning gain a, in (0, 1].
     limits : dict, optional
-        Lowest and highest command, and third, if need be, the slew rate per second, by the names of
-        the loop's commands, in their units: v is then projected onto what can be applied. {} stands
-        for none; None, too, but :func:`ilctools.record` takes those of the rig.
+        Lowest and highest command, by the names of the loop's commands, in their units: v is then
+        projected onto what can be applied. {} stands for none; None, too, but
+        :func:`ilctools.record` takes those of the rig. Where an actuator is limited in its rate,
+        let the reference rise as slowly.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without one to theirs, and refuse a law for another.
@@ -73,7 +74,7 @@ class Law:
     L: LearningOperator | Any
     rest: int = 0
     gain: float = 1.0
-    limits: dict[str, tuple[float, ...]] | None = None
+    limits: dict[str, tuple[float, float]] | None = None
     loop: Loop | None = None
     region: Any = field(default=None, repr=False)
     labels: Signals | None = field(default=None, repr=False)
@@ -94,7 +95,7 @@ class Law:
         )
         if self.limits is not None:
             commands = getattr(self.loop, "commands", None)
-            vars(self)["limits"] = named_limits("limits", self.limits, commands, slew=True)
+            vars(self)["limits"] = named_limits("limits", self.limits, commands)
 
     @property
     def Ts(self) -> float:

@@ -31,40 +31,28 @@ UNLIMITED = (-np.inf, np.inf)
 WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 
-def named_limits(
-    name: str, limits, names: Sequence[str] | None, slew: bool = False
-) -> dict[str, tuple[float, ...]]:
-    """Check limits (low, high[, slew rate per s]) by name; `names` None: any name will do."""
+def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tuple[float, float]]:
+    """Check limits (low, high) by name; `names` None: any name will do."""
     checked = {}
     for key, values in arguments.by_name(name, limits, limits if names is None else names).items():
-        called = f"{name}[{key!r}]"
-        size = 3 if slew and np.shape(values) == (3,) else 2
-        low, high, *rates = arguments.array(called, values, (size,)).tolist()
+        low, high = arguments.array(f"{name}[{key!r}]", values, (2,)).tolist()
         if not low < high:
-            raise ValueError(f"{called} = {values!r} must be a lower and a higher number")
-        for rate in rates:
-            arguments.positive(f"{called}[2]", rate)
-        checked[key] = (low, high, *rates)
+            raise ValueError(f"{name}[{key!r}] = {values!r} must be a lower and a higher number")
+        checked[key] = low, high
     return checked
 
 
 @dataclass(frozen=True)
 class Actuators:
-    """What actuators make of the commands of a loop; arrays of shape (m,), infinite: no limit.
-
-    Before a trial they are taken to stand wherever its first sample wants them.
-    """
+    """What actuators make of the commands of a loop; arrays of shape (m,), infinite: no limit."""
 
     lowest: np.ndarray
     highest: np.ndarray
-    step: np.ndarray  # the largest change from one sample to the next
 
     @classmethod
-    def of(cls, limits: dict[str, tuple[float, ...]], loop: Loop) -> "Actuators":
+    def of(cls, limits: dict[str, tuple[float, float]], loop: Loop) -> "Actuators":
         """Those of a loop, from limits by the names of its commands, which were checked."""
-        rows = [(*limits.get(name, UNLIMITED), np.inf)[:3] for name in loop.commands]
-        low, high, slew = np.transpose(rows)
-        return cls(low, high, slew * loop.Ts)
+        return cls(*np.transpose([limits.get(name, UNLIMITED) for name in loop.commands]))
 
     @property
     def width(self) -> np.ndarray:
@@ -72,33 +60,20 @@ class Actuators:
         width = self.highest - self.lowest
         return np.where(np.isfinite(width), width, 1.0)
 
-    def can(self, commands, before=None) -> bool:
-        """Whether commands (..., time, m) are applied as they are, but for rounding."""
-        return np.allclose(self.follow(commands, before), commands, 0, ROUNDING * self.width)
+    def can(self, commands) -> bool:
+        """Whether commands (..., m) are applied as they are, but for rounding."""
+        return np.allclose(self.follow(commands), commands, 0, ROUNDING * self.width)
 
-    def next(self, command, before=None) -> np.ndarray:
-        """What is applied of one command, after what was applied before it."""
-        low, high = self.lowest, self.highest
-        if before is not None:
-            low = np.maximum(low, before - self.step)
-            high = np.minimum(high, before + self.step)
-        return np.minimum(np.maximum(command, low), high)
-
-    def follow(self, commands, before=None) -> np.ndarray:
-        """What is applied of commands in succession, shape (..., time, m)."""
-        if np.all(np.isinf(self.step)):
-            return self.next(commands)
-        applied = np.empty_like(commands)
-        for p in range(commands.shape[-2]):
-            applied[..., p, :] = before = self.next(commands[..., p, :], before)
-        return applied
+    def follow(self, commands) -> np.ndarray:
+        """What is applied of commands, shape (..., m)."""
+        return np.minimum(np.maximum(commands, self.lowest), self.highest)
 
 
-def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]) -> str:
+def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
     words = []
     for i, name in enumerate(controls):
-        low, high, *_ = limits.get(name, UNLIMITED)
+        low, high = limits.get(name, UNLIMITED)
         share = np.mean((u[..., i] < low) | (u[..., i] > high))
         if share:
             words.append(f"{name} in {share:.1%}")
@@ -150,22 +125,19 @@ def _nearest(loop, actuators, u, weight, samples):
 
     minimise    sum_p ||y(p)||^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
     subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
-                lowest <= u + K x + N z <= highest,    and each step of it at most `step`
+                lowest <= u + K x + N z <= highest
     """
     cost, dynamics, commands = _program(loop, weight, samples, len(u))
-    m, moved = u.shape[1], np.diff(u, axis=0)
-    limits = sparse.vstack([commands, commands[m:] - commands[:-m]], format="csr")
-    margin = np.minimum(ROUNDING * actuators.width, actuators.step / 4)  # for the solver's rounding
-    step = actuators.step - margin
-    low = np.append(actuators.lowest + margin - u, -step - moved)
-    high = np.append(actuators.highest - margin - u, step - moved)
+    margin = ROUNDING * actuators.width  # for the solver's rounding
+    low = (actuators.lowest + margin - u).ravel()
+    high = (actuators.highest - margin - u).ravel()
     limited = np.isfinite(low) | np.isfinite(high)
 
     solver = piqp.SparseSolver()
     solver.settings.reg_lower_limit = REGULAR
     solver.setup(
         cost.tocsc(), np.zeros(cost.shape[0]), dynamics.tocsc(), np.zeros(dynamics.shape[0]),
-        limits[limited].tocsc(), low[limited], high[limited],
+        commands[limited].tocsc(), low[limited], high[limited],
     )  # fmt: skip
     status = solver.solve()
     if status != piqp.PIQP_SOLVED:

@@ -163,9 +163,9 @@ def law_of(trials: xr.Dataset) -> Law | None:
         return law if loop is None else law.bound_to(loop)
 
 
-def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, ...]]:
+def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, float]]:
     """What each actuator follows, by the name of its command, as noted in the metadata."""
-    read = partial(named_limits, "actuators", names=None, slew=True)
+    read = partial(named_limits, "actuators", names=None)
     return read_note(trials, "actuators", read) or {}
 
 

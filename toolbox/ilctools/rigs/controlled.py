@@ -135,7 +135,7 @@ class ControlledRig:
     def set_limits(self, law, stop, reference) -> None:
         """What commands are cut off at, by law or rig, and where the experiment stops."""
         rig = self.rig
-        limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs, slew=True)
+        limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
         self.limits = {name: limits[name] for name in self.commands if name in limits}
         if law is not None and law.limits is None:
             law = replace(law, limits=self.limits)
@@ -161,7 +161,6 @@ class ControlledRig:
     def reset(self) -> None:
         """Forget what was before."""
         self.controller = Controller(self.loop, self.decimals.get("u")) if self.ours else None
-        self.applied = None  # the last commands
         self.due = None  # when the next sample is due, by the rig's clock
 
     def rounded(self, name, values) -> np.ndarray:
@@ -235,10 +234,9 @@ class ControlledRig:
             signals["u"] = np.array([self.rounded("u", measured[name]) for name in self.reported])
         self.check_stop(self.commands, commands)
         if self.actuators is not None:
-            commands = self.actuators.next(commands, self.applied)
+            commands = self.actuators.follow(commands)
             if self.controller:
                 signals["applied"] = commands
-        self.applied = commands
         if self.controller:
             self.controller.observe(y, commands)
         inputs = np.zeros(len(self.inputs))

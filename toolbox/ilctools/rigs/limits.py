@@ -21,7 +21,7 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
     for name, column, size in zip(loop.outputs, values.T, largest, strict=True):
         if size:
             limits[name] = column.min() - FAR * size, column.max() + FAR * size
-    for name, (low, high, *_) in followed.items():
+    for name, (low, high) in followed.items():
         beyond = WIDE * (high - low)
         limits[name] = low - beyond, high + beyond
     names = [*loop.outputs, *loop.commands]

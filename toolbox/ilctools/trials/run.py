@@ -172,7 +172,7 @@ class _Simulated:
 
     def reset(self):
         """Begin a trial."""
-        self.state, self.applied = self.initial, None
+        self.state = self.initial
 
     def run(self, w, d, noise):
         """The signals of a trial, or of a part of one."""
@@ -180,11 +180,10 @@ class _Simulated:
         x, y, u = self.response(inputs)
         signals = {"u": u}
         if self.actuators is not None:
-            if not self.actuators.can(u, before=self.applied):
+            if not self.actuators.can(u):
                 inputs, signals["u"] = self.within_limits(inputs)
                 x, y, u = self.response(inputs)
-            signals["applied"] = self.actuators.follow(signals["u"], self.applied)
-            self.applied = signals["applied"][-1]
+            signals["applied"] = self.actuators.follow(signals["u"])
         self.state = self.model.A @ x[-1] + self.model.B @ inputs[-1]
         y = y + noise
         return signals | {"y": y, "delta": x[:, -w.shape[1] :]} if self.ours else {"y": y}
@@ -199,11 +198,10 @@ class _Simulated:
         """Inputs whose w asks for what is applied, and what is asked for with the w given."""
         model, m = self.model, len(self.loop.outputs)
         inputs, u = inputs.copy(), np.empty((len(inputs), m))
-        x, applied = self.state, self.applied
+        x = self.state
         for p, now in enumerate(inputs):
             u[p] = model.C[m:] @ x + model.D[m:] @ now
-            applied = self.actuators.next(u[p], applied)
-            now[:m] = self.loop.realised(now[:m], u[p], applied)
+            now[:m] = self.loop.realised(now[:m], u[p], self.actuators.follow(u[p]))
             x = model.A @ x + model.B @ now
         return inputs, u
 

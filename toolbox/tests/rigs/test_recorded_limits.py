@@ -24,7 +24,7 @@ from ilctools.logs.replay import replay
 from ilctools.models import sampled_plant
 
 CASES = {  # loop, cut-off, heights, limits
-    "stage, rates": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0, 500.0)}),
+    "stage": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0)}),
     "tanks": (LOOPS["tanks"](), 0.4, [3.0, 2.0, 4.0], dict.fromkeys(PUMPS, (-10.0, 25.0))),
     "axes": (ClosedLoop(axes()), 3.0, [2.0, -1.0], {"set x": (-1.0, 1.5)}),
 }
