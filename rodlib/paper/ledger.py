@@ -20,6 +20,7 @@ would say nothing about the agreement, and the coefficients of a flat optimum ar
 further. Where rounding moves it by one unit of the last digit shown, the row stays as it is.
 """
 
+import json
 import re
 from itertools import count
 from operator import eq, ge, gt, le, lt
@@ -28,7 +29,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ilctools.files import folder, read_json, write_pieces, write_whole
+from ilctools.files import folder, write_pieces, write_whole
 from rodlib.paper import published
 from rodlib.paper.comparison import different_figures, same_text
 from rodlib.paper.published import Claim
@@ -172,7 +173,7 @@ class Ledger:
 
 def code_cells(notebook: Path) -> list[dict]:
     """The cells of a notebook that have code."""
-    cells = read_json(notebook.read_text("utf-8"))["cells"]
+    cells = json.loads(notebook.read_text("utf-8"))["cells"]
     return [cell for cell in cells if cell["cell_type"] == "code"]
 
 

@@ -3,9 +3,7 @@
 Only the standard library, because `environment.py` needs this before anything is installed.
 """
 
-import json
 import os
-import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -19,38 +17,10 @@ except ImportError:  # on Windows
 
     fcntl = None
 
-STRING = re.compile(r'"(?:[^"\\]|\\.)*"')  # of JSON
-
-
-def read_json(text: str):
-    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for.
-
-    Its texts are printable but for line feeds: a terminal obeys others, however JSON writes them.
-    """
-    value = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-    for string in STRING.findall(text):
-        if not json.loads(string).replace("\n", "").isprintable():
-            raise ValueError(f"{string[:80]} has characters that are not printable")
-    return value
-
-
-def _once(pairs):
-    if len(pairs) > len(dict(pairs)):
-        raise ValueError("a name stands there twice")
-    return dict(pairs)
-
-
-def _refuse_constant(word):
-    raise ValueError(f"{word} is no number")
-
 
 def folder(path: Path) -> Path:
-    """Make a folder, unless it or a link to one is there; a file in the way is an error."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        message = f"{path} must be a folder: remove the file that is in its way"
-        raise NotADirectoryError(message) from None
+    """Make a folder, unless it is there."""
+    path.mkdir(parents=True, exist_ok=True)
     return path
 
 

@@ -6,9 +6,7 @@ A notebook keeps what it shows, but where the variable TQDM_DISABLE is set: make
 import os
 import sys
 from contextlib import contextmanager
-from itertools import count
-from threading import Event, Thread, get_ident
-from traceback import walk_stack
+from threading import Event, Thread
 
 from tqdm import tqdm
 
@@ -26,20 +24,17 @@ def progress(**options) -> tqdm:
 
 @contextmanager
 def watched(name: str):
-    """Show for how long the function of this name has been running, and where it is."""
-    ended, thread = Event(), get_ident()
+    """Show for how long the function of this name has been running."""
+    ended = Event()
 
     def watch():
-        if ended.wait(PATIENCE):
-            return
-        with progress(bar_format="{desc}", delay=0, leave=False) as shown:
-            for seconds in count(PATIENCE):
-                frames = walk_stack(sys._current_frames()[thread])
-                names = " > ".join([frame.f_code.co_name for frame, _ in frames][::-1])
-                where = names.partition(f"{name} > ")[2]  # nowhere, if it just ended
-                shown.set_description_str(f"{name}, {seconds} s: {where}")
-                if ended.wait(1):
-                    return
+        with progress(
+            bar_format="{desc}, {elapsed}", desc=name, delay=PATIENCE, leave=False
+        ) as bar:
+            wait = PATIENCE
+            while not ended.wait(wait):
+                bar.refresh()
+                wait = 1
 
     watcher = Thread(target=watch, daemon=True)
     watcher.start()

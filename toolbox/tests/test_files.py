@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from ilctools.files import alone, append, folder, read_json, replacing, write_whole
+from ilctools.files import alone, append, replacing, write_whole
 
 
 def test_a_file_is_replaced_where_its_link_leads_and_stays_private(tmp_path):
@@ -30,18 +30,6 @@ def test_after_an_error_the_old_file_is_whole_and_nothing_else_is_left(tmp_path)
         raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
-    folder(tmp_path / "link" / "below")
-    assert (tmp_path / "elsewhere" / "below").is_dir()
-    (tmp_path / "file").write_text("")
-    (tmp_path / "astray").symlink_to(tmp_path / "nowhere")
-    for path in (tmp_path / "file" / "below" / "deeper", tmp_path / "astray"):
-        with pytest.raises(NotADirectoryError, match=f"{path} must be a folder"):
-            folder(path)
 
 
 def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
@@ -82,10 +70,3 @@ def test_what_cannot_be_added_leaves_a_file_as_it_was(tmp_path):
     assert path.read_text() == "1\n"
     append(path, [b"2\n", b"3\n"])
     assert path.read_text() == "1\n2\n3\n"
-
-
-@pytest.mark.parametrize("text", [r'"K\b"', r'{"K\f": 1}', r'["\u202e"]', '"\x85"', r'"\ud800"'])
-def test_json_has_nothing_that_a_terminal_obeys(text):
-    with pytest.raises(ValueError, match="not printable"):
-        read_json(text)
-    assert read_json(r'{"a \" \\ b": ["ϑ\n", 1]}') == {'a " \\ b': ["ϑ\n", 1]}

@@ -43,7 +43,6 @@ def test_a_log_written_by_hand_is_read(good):
         ("log 2", "log 1", "format is 'rodlib trial log 1'"),
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = -1.0 must be"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice"),
-        ('"depth": "mm"}', '"depth": "mm", "depth": "m"}', "twice"),
         (",y_depth,", ",depth,", r"missing are \['y_depth'\] and unknown \['depth'\]"),
         ('"mm"', "1", "unit of 'depth' = 1"),
         ('"controls": {', '"controls": {"fan": "", ', "must be as many"),

@@ -15,7 +15,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.base import RegularisedInverse
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
-from ilctools.files import keep_others, read_json, regular, write_whole
+from ilctools.files import keep_others, regular, write_whole
 from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
@@ -38,7 +38,7 @@ def read_note(trials: xr.Dataset, key: str, read: Callable):
     if key not in trials.attrs:
         return None
     with reading(key):
-        return read(read_json(trials.attrs[key]))
+        return read(json.loads(trials.attrs[key]))
 
 
 def text_of(notes, indent: int | None = None) -> str:
@@ -156,7 +156,7 @@ def law_of(trials: xr.Dataset) -> Law | None:
         return None
     loop = loop_of(trials)
     with reading("law"):
-        notes = {key: read_json(trials.attrs[key]) for key in KEYS if key in trials.attrs}
+        notes = {key: json.loads(trials.attrs[key]) for key in KEYS if key in trials.attrs}
         law = _law_from(notes, trials.attrs["Ts"])
         check_match(log=Signals.of_log(trials), law=law)
         arguments.whole("rest", law.rest, 0, trials.sizes["time"] - 1)
@@ -228,7 +228,7 @@ def load_law(path) -> Law:
     """
     path = arguments.path("path", path)
     try:
-        content = read_json(regular(path).read_text(encoding="utf-8"))
+        content = json.loads(regular(path).read_text(encoding="utf-8"))
         law = _law_from(content, content["Ts"])
         _check_file(content, law.Q)
     except (OSError, *MISUNDERSTOOD) as error:

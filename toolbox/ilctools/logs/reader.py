@@ -1,5 +1,6 @@
 """Reading logs: their metadata, their rows by pandas, trials with the clock that they need."""
 
+import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.errors import LogError, reading, shortened
-from ilctools.files import read_json, regular
+from ilctools.files import regular
 from ilctools.logs.clock import check_trials
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
 from ilctools.signals import dataset
@@ -91,7 +92,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
             second = seconds(unit)
             Ts = arguments.sampling_period("Ts", value_of(value) * second)
         with reading("signals"):
-            signals = read_json(metadata["signals"])
+            signals = json.loads(metadata["signals"])
             check_signals(signals)
         text = StringIO("\n".join(lines))
         entries = pd.read_csv(text, comment="#", dtype=str, keep_default_na=False, **OPTIONS)
