@@ -11,7 +11,6 @@ MODULES = {
     "filters": "LearningFilter zero_phase_butterworth",
     "loop.closed": "ClosedLoop",
     "loop.design": "current_trial_loop",
-    "loop.combinations": "combinations",
     "law.notes": "law_of load_law save_law",
     "law.law": "Law",
     "synthesis.design": "synthesise",

@@ -23,7 +23,6 @@ from ilctools.logs.reader import load_log as load_log
 from ilctools.logs.replay import replay as replay
 from ilctools.logs.table import read_table as read_table
 from ilctools.loop.closed import ClosedLoop as ClosedLoop
-from ilctools.loop.combinations import combinations as combinations
 from ilctools.loop.design import current_trial_loop as current_trial_loop
 from ilctools.measurement.excitation import multisine as multisine
 from ilctools.measurement.measurement import measured_response as measured_response

@@ -257,7 +257,7 @@ def square(name: str, inputs: int, outputs: int) -> None:
     if inputs != outputs:
         raise ValueError(
             f"{name} has {inputs} inputs and {outputs} outputs, but must have as many: leave "
-            "inputs out; of more outputs, learn on combinations of them (ilctools.combinations)"
+            "inputs out; of more outputs, learn on combinations, (G' G)^-1 G' y with G = P(1)"
         )
 
 
