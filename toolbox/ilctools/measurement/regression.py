@@ -186,12 +186,6 @@ def lagged(signal: np.ndarray, knots: np.ndarray) -> Callable[[np.ndarray], np.n
     return at
 
 
-def increments(knots: np.ndarray) -> np.ndarray:
-    """H, (lag, knot)."""
-    lags = np.arange(knots[-1] + 1)
-    return lagged(lags == 0, knots)(lags).T
-
-
 def waves(knots: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """The frequency response of each column of H, (n, knot), by sums of geometric series."""
     gap, omega = np.append(np.diff(knots), 1), np.where(omega, omega, 1e-200)[:, None]

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from ilctools.measurement import consistency as module
 from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
-from ilctools.measurement.regression import Trials, increments, records, regression
+from ilctools.measurement.regression import Trials, records, regression
 
 
 def trials(u, y):
@@ -114,8 +114,9 @@ def test_the_first_coefficient_is_as_uncertain_as_its_posterior_says():
     fit = regression(trials(u, y), True)
     data, post, layout = fit.data, fit.posterior, fit.data.layout
     of_first = np.zeros(len(fit.mean))
-    of_first[layout.c == 1] = increments(layout.knots[1])[0]
+    of_first[layout.c == 1] = 1.0
     first = of_first @ fit.mean
+    assert fit.impulse(1).item() == pytest.approx(first)
     precision = data.products[0, :-1, :-1] + np.diag(post.size**-2.0)
     (share,), (explained,) = module._first(fit)
     of_noise = of_first @ np.linalg.solve(precision, of_first)

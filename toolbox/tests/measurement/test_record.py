@@ -7,6 +7,8 @@ import xarray as xr
 from plants import furnace
 
 from ilctools import measured_response
+from ilctools.errors import LogError
+from ilctools.measurement import estimation
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
 
@@ -62,13 +64,17 @@ def test_disturbances_of_several_logs_have_one_unit():
     assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True))
 
 
-def test_a_known_delay_is_less_to_estimate():
+def test_a_known_delay_is_less_to_estimate(monkeypatch):
     plant = control.ss(furnace(60))
     log = moved(plant, 400)
     late, searched = measured_response(log, delay=61), measured_response(log)
     assert np.all(error(late, plant) <= late.radius(0.99, jointly=True))
     assert np.median(late.radius() / searched.radius()) < 1  # which is a few samples short
-    assert late.model().nstates == 1 + 60
+    model = late.model()  # a delay is states
+    assert model.nstates == 1 + 60 and np.all(error(late, model) <= late.radius(0.99, jointly=True))
+    monkeypatch.setattr(estimation, "ROWS", 50)
+    with pytest.raises(LogError, match="no model of up to 50 states"):
+        late.model()
     for delay in (-1, 0.5, [1, 2]):
         with pytest.raises(ValueError, match="delay"):
             measured_response(log, delay=delay)
