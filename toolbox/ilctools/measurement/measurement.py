@@ -43,7 +43,7 @@ def measured_response(
         record of :func:`shake` is estimated like any other.
     uncertainty : array_like, shape (n,), or float, optional
         Of a table: the radius at its lines, or one number, relative to sigma_max(P). Default: they
-        are exact.
+        count as exact, noise and all, and nothing says if they scatter: then pass a radius.
     gain : array_like, shape (outputs, inputs), optional
         P at rest, P(0), if it is known, in the units of the record. Default: I from w of a
         :class:`CurrentTrialLoop`, whose observer integrates; else not known.
@@ -71,7 +71,7 @@ def measured_response(
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
         drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
         trials, or the course of one, that contradict one linear plant; an output that may not
-        settle; a table without a radius that scatters from line to line.
+        settle.
 
     See Also
     --------

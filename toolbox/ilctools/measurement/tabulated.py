@@ -9,7 +9,6 @@ import numpy as np
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
 from ilctools.response.measured import Measured, interpolated, radius_of, with_phase
-from ilctools.response.roughness import scattered
 
 
 @dataclass(frozen=True, repr=False)
@@ -23,7 +22,6 @@ class TabulatedResponse(Measured):
     response: np.ndarray  # shape (n, m, m), complex
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
     loop: ClosedLoop | None  # names and sampling period, if the table says one
-    findings: tuple[str, ...] = ()  # what speaks against it
 
     def _radius(self, confidence, jointly):
         return self.uncertainty
@@ -79,5 +77,4 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     radius = radius_of(0.0 if uncertainty is None else uncertainty, P)
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
-    findings = () if radius.any() else tuple(map(str, scattered(omega, P)))
-    return TabulatedResponse(omega, P, radius, loop, findings)
+    return TabulatedResponse(omega, P, radius, loop)
