@@ -3,7 +3,6 @@
 import control
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
@@ -83,47 +82,33 @@ class Measured:
         )
 
     def plot(self) -> Figure:
-        """Draw gain and phase of each entry of P, and their joint region of 99 %.
+        """Draw gain and phase of each entry of P, a column each, and the joint radius of 99 %.
 
-        Two rows for each output; shaded gray where P is not identified. Of an excited rig also the
-        standard deviations of P by noise and by what is not linear.
+        A radius of more than nine tenths of the gain is drawn down to a tenth of it: there P is
+        hardly identified. Of an excited rig also the standard deviations of P by noise and by what
+        is not linear.
 
         Returns
         -------
         matplotlib.figure.Figure
         """
-        (inputs, outputs), (n, p, m) = self.names, self.response.shape
-        figure = Figure(figsize=(3.2 * m, 4 * p), layout="constrained")
-        axes = figure.subplots(2 * p, m, squeeze=False)
-        radius = self.radius(CONFIDENCE, jointly=True)
-        known = getattr(self, "known", np.ones(n, bool))
-        sizes = np.abs(self.response)
-        floors = np.maximum(sizes, 1e-5 * (sizes.max() or 1)) / 10  # zero is on no logarithmic axis
-        for i, j in np.ndindex(p, m):
-            gain, phase = axes[2 * i : 2 * i + 2, j]
-            self._draw(gain, phase, self.response[:, i, j], radius, floors[:, i, j].min())
+        (inputs, outputs), omega, P = self.names, self.omega, self.response
+        radius, pairs = self.radius(CONFIDENCE, jointly=True), [*np.ndindex(P.shape[1:])]
+        figure = Figure(figsize=(3.2 * len(pairs), 4.5), layout="constrained")
+        gains, phases = figure.subplots(2, len(pairs), sharex=True, squeeze=False)
+        for (i, j), gain, phase in zip(pairs, gains, phases, strict=True):
+            size = np.abs(P[:, i, j])
+            band = np.maximum(size - radius, size / 10), size + radius
+            gain.fill_between(omega, *band, alpha=0.3, label="radius, 99 %")
+            gain.loglog(omega, size)
+            for name in ("noise", "distortion"):
+                if hasattr(self, name):
+                    gain.loglog(omega, getattr(self, name), label=name, nonpositive="mask")
             gain.set(title=f"{inputs[j]} to {outputs[i]}", ylabel="gain")
+            phase.semilogx(omega, np.degrees(np.unwrap(np.angle(P[:, i, j]))))
             phase.set(xlabel="frequency (rad/s)", ylabel="phase (deg)")
-            for ax in (gain, phase):
-                across = ax.get_xaxis_transform()
-                ax.fill_between(self.omega, 0, 1, ~known, color="0.9", transform=across)
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+        gain.legend(bbox_to_anchor=(1, 1))
         return figure
-
-    def _draw(self, gain, phase, P, radius, floor):
-        """Gain and phase of one entry, (n,)."""
-        size, turned = np.maximum(np.abs(P), floor), np.unwrap(np.angle(P))
-        off = np.where(radius < size, np.arcsin(np.minimum(radius / size, 1)), np.pi)
-        gain.loglog(self.omega, size)
-        gain.fill_between(self.omega, np.maximum(size - radius, floor), size + radius, alpha=0.3)
-        for name, style in (("noise", "0.5"), ("distortion", "0.7")):
-            if hasattr(self, name):
-                gain.loglog(self.omega, getattr(self, name), color=style, label=name)
-                floor = None
-        gain.yaxis.set_minor_formatter(NullFormatter())
-        gain.set_ylim(floor)
-        phase.semilogx(self.omega, np.degrees(turned))
-        phase.fill_between(self.omega, *np.degrees([turned - off, turned + off]), alpha=0.3)
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
