@@ -68,10 +68,11 @@ def measured_response(
     Warns
     -----
     UserWarning
-        Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
-        drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
-        trials, or the course of one, that contradict one linear plant; an output that may not
-        settle.
+        Each of the findings: commands beyond the limits; trials, or the course of one, that
+        contradict one linear plant; an output that may not settle. A rig that is not linear, drifts
+        or had not settled when shaken widens the radius, and print says so. No warning says that
+        lines are too far apart, or begin too high: between them, and below the first, the radius
+        grows by what splines of every other line miss.
 
     See Also
     --------

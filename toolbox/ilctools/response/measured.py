@@ -3,9 +3,9 @@
 import control
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
+from ilctools.response.samples import Samples
 from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99  # in a measured response
@@ -16,7 +16,9 @@ class Measured:
 
     A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
     `findings`, which speak against it. It says what the doors here ask by ``_radius(confidence,
-    jointly)``, ``_on(omega, confidence)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``.
+    jointly)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``; by ``_samples(confidence)``,
+    if those between which it is splined are not those at `omega`, or else by ``_on(omega,
+    confidence)``.
     """
 
     findings = ()
@@ -60,6 +62,21 @@ class Measured:
         if scale is not None:
             own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
         return own._on(omega, probability(confidence))
+
+    def _samples(self, confidence):
+        return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
+
+    def _on(self, omega, confidence):
+        """As :mod:`.samples` says; beyond the ends all that is not larger than there."""
+        samples = self._samples(confidence)
+        P, radius = samples.at(omega)
+        return P, radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
+
+    def _between(self, omega, confidence):
+        """What is assumed there, in words."""
+        yield "assumed: splines miss P by no more than they miss lines that are left out"
+        if outside := np.mean(self._samples(confidence).outside(omega)):
+            yield f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there"
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
         """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
@@ -139,9 +156,3 @@ def with_phase(name: str, P) -> np.ndarray:
 def probability(confidence) -> float:
     """A confidence, that of a region."""
     return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-
-
-def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
-    """A cubic spline through P, (n, m, m), and by how much it differs from straight lines."""
-    spline, straight = (make_interp_spline(knots, P, k)(at) for k in (3, 1))
-    return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))
