@@ -19,15 +19,13 @@ other:
 What one gain more of each input explains is taken off beforehand: the prior makes gains too small,
 and of two levels squares and cubes are gains.
 
-Without a reference in the record u may follow y: then residuals e(t) move later inputs. So
-u(t + 1), u(t + 3), u(t + 9), not passed by A, are a fourth set (L. Ljung, System Identification,
-1999, section 16.6). It is blind where u = -C y, and nothing else moves u: B / A = -1 / C leaves no
-residual, and no test can distinguish this loop from a plant -1 / C. But plants in which something
+Without a reference in the record u may follow y, and what is estimated is -1 / C: no test of
+residuals can distinguish this loop from a plant -1 / C. But plants in which something
 lags answer at once by a part of what they answer in the end, a sampled one by nothing. So it is
-said as well where u(t) explains y(t), by the same F, and the first coefficient of the impulse
-response is not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a million times
-what is left: a proportional controller, or a plant without lags and almost without noise. How far
-off P is cannot be known then: by all of it.
+said where u(t) explains y(t), by the same F, and the first coefficient of the impulse response is
+not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a million times what is
+left: a proportional controller, or a plant without lags and almost without noise. How far off P is
+cannot be known then: by all of it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,7 +39,6 @@ from ilctools.measurement.regression import Regression, Trials, contrasts, recor
 
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
-LATER = (1, 3, 9)  # samples by which inputs are later
 # Of the first coefficient of an impulse response to their sum: what plants do not have, and what
 # they do not have where u(t) explains EXACT times the power that is left.
 WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
@@ -61,8 +58,8 @@ def contradictions(
     `reference`: whether the reference is in the record, or else u may follow y.
     """
     m, parts = groups[0].u.shape[2], [name for group in groups for name in _parts(group)]
+    # the columns of each
     gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
-    sets |= {} if reference else {FOLLOWS: m * len(LATER)}  # their columns
     q, J, power = _score(fit, groups, _columns(fit, groups, len(parts)))
     last, n, level = m, fit.data.count.sum(), FALSE_ALARM / len(sets)
     for name, k in sets.items():
@@ -71,10 +68,10 @@ def contradictions(
         more, within = max(more, 0), columns[:1] if name in parts else gains
         off = np.sqrt(more / power[np.ix_(within, within)].sum())
         said = fdtrc(k, n, n * more / k / fit.posterior.rss) < level  # (2)
-        if name == FOLLOWS and (said or _at_once(fit, level)):
-            yield name, 1.0
-        elif said and off > SEEN:
+        if said and off > SEEN:
             yield name, off
+    if not reference and _at_once(fit, level):
+        yield FOLLOWS, 1.0
 
 
 def score_test(q, J, power, columns) -> float:
@@ -116,7 +113,7 @@ def _columns(fit, groups, parts):
             _through(fit.denominator[:, None], z - z[:, :1])
             for z in (own, _through(g, _last_move(u)), _curve(g, u, y))
         )
-        shared = contrasts(np.concatenate([*shared, _later(u)], axis=2))
+        shared = contrasts(np.concatenate(shared, axis=2))
         of_parts = np.zeros((N, parts, 2))
         for weights, Z in zip(helmert(K, full=True), shared, strict=True):
             of_parts[:, first : first + K] = np.moveaxis(weights[:, None, None] * own, 0, 1)
@@ -146,12 +143,6 @@ def _last_move(u):
     moves[:, :1] = -np.take_along_axis(moves, first, 1)
     last = np.maximum.accumulate(np.where(moves, np.arange(u.shape[1])[:, None], 0), axis=1)
     return np.take_along_axis(moves, last, 1) - moves[:, :1]
-
-
-def _later(u):
-    """A loop whose reference is not in the record: inputs that come later."""
-    N = u.shape[1]
-    return np.concatenate([u[:, np.minimum(np.arange(k, N + k), N - 1)] for k in LATER], axis=2)
 
 
 def _at_once(fit, level):

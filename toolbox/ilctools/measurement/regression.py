@@ -62,7 +62,7 @@ from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import lfilter
 from scipy.special import diric, expit
 
 from ilctools.errors import LogError
@@ -431,18 +431,7 @@ class Regression:
             x, slow = np.split(self.of(1 + j, self.mean), [len(knots)])
             B.append(_coefficients(x, knots, n))
             B[j][1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
-        g = fftconvolve(B, [_reciprocal(self.denominator, n)], axes=1)[:, :n]
-        g[:, 0] = np.array(B)[:, 0]  # exactly: zero where y does not answer at once
-        return g
-
-
-def _reciprocal(a, n):
-    """1 / A(z) as a series of n terms, twice as many in each of Newton's steps g (2 - a g)."""
-    g = np.ones(1)
-    while len(g) < n:
-        k = 2 * len(g)
-        g = 2 * np.pad(g, (0, k // 2)) - fftconvolve(fftconvolve(a[:k], g)[:k], g)[:k]
-    return g[:n]
+        return lfilter([1.0], self.denominator, np.array(B))
 
 
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
