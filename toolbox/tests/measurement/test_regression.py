@@ -59,7 +59,7 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
     variance, slow = np.split(np.exp(layout.prior(eta)[0])[layout.kind == 1], [-2])
     np.testing.assert_allclose(slow, np.exp(0.3))
     lags = np.arange(layout.knots[1][-1] + 1)
-    moves = lagged(lags == 0, layout.knots[1])(lags).T
+    moves = lagged(lags == 0, layout.knots[1]).T
     covariance = moves * variance @ moves.T
     lag = np.arange(len(covariance) - 7)
     kernel = np.exp(scale - np.maximum.outer(lag, lag) / np.exp(time))
