@@ -206,7 +206,7 @@ def test_wrong_records_are_refused(loop, quick):
     without = log.drop_attrs().assign_attrs(Ts=1.0, excitation=log.excitation)
     for wrong, message in (
         (log_of(loop, quick, gap), "log.y"),
-        (log_of(loop, quick, y, broken), "w of y1 is not its excitation"),
+        (log_of(loop, quick, y, broken), "w is not the excitation"),
         (without, "not of shake"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -35,7 +35,6 @@ import numpy as np
 import xarray as xr
 from scipy.special import gammainccinv, ndtri, wrightomega
 
-from ilctools import arguments
 from ilctools.errors import LogError
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.consistency import contradictions
@@ -209,11 +208,10 @@ class EstimatedResponse(Measured):
             "two slow parts",
         ]
         if not self.known.all():
-            ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
-            words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[:5]]
+            low, high = self.omega[self.known][[0, -1]]
             lines.append(
-                f"P is identified from {', '.join(words)} rad/s; elsewhere the input had too "
-                "little power, and the radius is that of what was assumed before the data"
+                f"P is identified from {low:.3g} to {high:.3g} rad/s, {self.known.mean():.0%} of all; "
+                "else the input had too little power, and what was assumed makes the radius"
             )
         return lines
 
@@ -221,15 +219,6 @@ class EstimatedResponse(Measured):
         radius = self.radius()[self.known]
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
         return f"{super().__repr__()}\n{within}"
-
-
-def _at_rest(record, units, gain):
-    """P(0) of each output, relative to units, if it is known."""
-    if gain is not None:
-        gain = arguments.array("gain", gain, units.shape)
-    elif record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
-        gain = np.eye(len(units))  # its observer integrates
-    return [None] * len(units) if gain is None else gain / units
 
 
 def _words(said):
@@ -243,12 +232,13 @@ def _words(said):
 
 @on_one_thread
 def estimated_response(
-    logs: Sequence[xr.Dataset], of: str | None = None, gain=None, delay=None
+    logs: Sequence[xr.Dataset], of: str | None = None, delay=None
 ) -> EstimatedResponse:
     """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
     record = Record.of(logs, of, delay)
     units = record.sizes[1][:, None] / record.sizes[0]
-    rows = _at_rest(record, units, gain)
+    ours = record.source == "w" and isinstance(record.loop, CurrentTrialLoop)
+    rows = np.eye(len(units)) / units if ours else [None] * len(units)  # its observer integrates
     noted = record.source == "w" or all("reference" in log for log in logs)
     fits, contradicted, apart = [], [], 0.0
     for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):

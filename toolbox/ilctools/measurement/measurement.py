@@ -26,7 +26,7 @@ ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as log
 
 
 def measured_response(
-    log, of: str | None = None, uncertainty=None, *, gain=None, delay=None
+    log, of: str | None = None, uncertainty=None, *, delay=None
 ) -> ExcitedResponse | EstimatedResponse | TabulatedResponse:
     """Make a measured response, with the region in which the truth lies, of what there is.
 
@@ -39,14 +39,11 @@ def measured_response(
         response, which is splined between its lines.
     of : {"w", "u"}, optional
         Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
-        Default: from w, if all records have a reference. If this, `gain` or `delay` is given, a
-        record of :func:`shake` is estimated like any other.
+        Default: from w, if all records have a reference. If this or `delay` is given, a record of
+        :func:`shake` is estimated like any other.
     uncertainty : array_like, shape (n,), or float, optional
         Of a table: the radius at its lines, or one number, relative to sigma_max(P). Default: they
         count as exact, noise and all, and nothing says if they scatter: then pass a radius.
-    gain : array_like, shape (outputs, inputs), optional
-        P at rest, P(0), if it is known, in the units of the record. Default: I from w of a
-        :class:`CurrentTrialLoop`, whose observer integrates; else not known.
     delay : int or array_like, shape (inputs,), optional
         Samples after which y answers to each input at the earliest, if it is known; further delay
         is searched for. Default: 0.
@@ -117,7 +114,7 @@ def measured_response(
     P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
     assumed: between them P is not further from their spline than straight lines are
     """
-    asked = {"of": of, "gain": gain, "delay": delay}
+    asked = {"of": of, "delay": delay}
     if isinstance(log, control.FrequencyResponseData):
         for name, value in asked.items():
             if value is not None:
@@ -169,10 +166,9 @@ def _signals(log, excitation):
             "with shake and the same path"
         )
     w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
-    off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
-    for name, share in zip(log.output.values, off, strict=True):
-        if share > ROUNDED:
-            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+    off = (np.abs(w - shaken) / excitation.amplitude).max()
+    if off > ROUNDED:
+        raise LogError(f"w is not the excitation: it is off by {off:.2g} of its amplitude")
     y = arguments.array("log.y", log.y.values, shaken.shape)
     check_moved([y], log.output.values, "log.y", "is it connected?")
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]

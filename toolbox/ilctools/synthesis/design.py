@@ -214,7 +214,7 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
     if Q.cutoff == lowest:
         warnings.warn(
             f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
-            "differ: record longer or larger moves, or pass measured_response the gain at rest",
+            "differ: record longer or larger moves",
             stacklevel=4,
         )
     problem = replace(design.problem, chosen=(text, *design.problem.chosen))
