@@ -210,7 +210,7 @@ class EstimatedResponse(Measured):
         if not self.known.all():
             low, high = self.omega[self.known][[0, -1]]
             lines.append(
-                f"P is identified from {low:.3g} to {high:.3g} rad/s, {self.known.mean():.0%} of all; "
+                f"P is identified from {low:.3g} to {high:.3g} rad/s, at {self.known.mean():.0%}; "
                 "else the input had too little power, and what was assumed makes the radius"
             )
         return lines

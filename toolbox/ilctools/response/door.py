@@ -46,14 +46,14 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
                 "uncertainty must be None if P is a measured response, which has a radius of its "
                 "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
             )
-        _refuse_other_units("P.omega", P.omega, P.response, Ts)
         known = {"P": P.on(omega, CONFIDENCE)[0]}
         _, uncertainty = P.on(omega, CONFIDENCE, scale)
         assumptions = P.basis(omega, CONFIDENCE)
     models, responses = _on_grid(known, omega, Ts)
     signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
     check_match(**signals, Q=Q, grid=Signals(Ts))
-    _refuse_other_units("omega", omega, responses[0], Ts)
+    own = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
+    _refuse_other_units(*own, Ts)
     models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
         if np.ndim(uncertainty) == 0:
@@ -176,7 +176,7 @@ def in_own_units(response: Response) -> Response:
     return replace(response, models=tuple(models), P=P, radius=radius, scale=np.ones(len(scale)))
 
 
-def _refuse_other_units(name, omega, P, Ts):
+def _refuse_other_units(omega, P, Ts):
     """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
     rounding = PRINTED * np.abs(P[-1]).max()
     if not np.abs(P[-1].imag).max() <= rounding < np.abs(P.imag).max():
@@ -185,6 +185,6 @@ def _refuse_other_units(name, omega, P, Ts):
         factor = np.pi / Ts / end
         if abs(omega[-1] / end - 1) < PRINTED < abs(factor - 1):
             raise ValueError(
-                f"{name} ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as at "
+                f"omega ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as at "
                 f"the Nyquist frequency: omega is in {unit}, multiply it by {factor:.6g}"
             )

@@ -94,9 +94,7 @@ class Measured:
         """The response at `omega`, with names and sampling period, for python-control."""
         (inputs, outputs), dt = self.names, True if self.loop is None else self.loop.Ts
         P = np.moveaxis(self.response, 0, -1)
-        return control.frd(
-            P, self.omega, dt, smooth=False, name="P", inputs=inputs, outputs=outputs
-        )
+        return control.frd(P, self.omega, dt, inputs=inputs, outputs=outputs)
 
     def plot(self) -> Figure:
         """Draw gain and phase of each entry of P, a column each, and the joint radius of 99 %.
