@@ -165,7 +165,6 @@ def test_a_step_in_the_first_row_counts():
         ("three trials saturate", "large inputs|trial 1"),
         ("quadratic", "large inputs"),
         ("gain drifts by 20 %", "the course of trial 1"),
-        ("backlash", "moves up and down"),
     ],
 )
 def test_what_is_not_one_linear_plant_is_said(kind, words):
