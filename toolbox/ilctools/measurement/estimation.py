@@ -221,15 +221,6 @@ class EstimatedResponse(Measured):
         return f"{super().__repr__()}\n{within}"
 
 
-def _words(said):
-    """Of contradictions, the largest of P."""
-    words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])
-    return (
-        f"{words}. The radius is larger for it: leave such trials or times out, by isel, or move "
-        "the input less"
-    )
-
-
 @on_one_thread
 def estimated_response(
     logs: Sequence[xr.Dataset], of: str | None = None, delay=None
@@ -245,7 +236,11 @@ def estimated_response(
         groups = record.of_output(i)
         fits.append(regression(groups, record.direct, record.delay, row))
         if said := sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1]):
-            contradicted.append(f"{name} is not that of one linear plant: {_words(said)}")
+            words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])
+            contradicted.append(
+                f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
+                "leave such trials or times out, by isel, or move the input less"
+            )
             apart = max(apart, said[0][1])
     nyquist = np.pi / record.loop.Ts
     omega = np.geomspace(nyquist / (2 * record.longest), nyquist, 200)

@@ -65,8 +65,7 @@ class Response:
             return P, radius
         P, radius = frequency_response(model, omega), np.zeros(len(omega))
         if self.radius is not None:
-            inside = (omega >= self.omega[0]) & (omega <= self.omega[-1])
-            radius[inside] = samples.radius_at(omega[inside])
+            radius = np.where(samples.outside(omega), 0, samples.radius_at(omega))
         return P, radius
 
     @property

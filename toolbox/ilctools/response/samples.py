@@ -54,8 +54,7 @@ class Samples:
 
     def outside(self, omega) -> np.ndarray:
         """Which frequencies are beyond the ends, (k,), bool."""
-        low, high = self.omega[[0, -1]]
-        return (omega < low - SAME * abs(low)) | (omega > high * (1 + SAME))
+        return np.abs(omega - np.clip(omega, *self.omega[[0, -1]])) > SAME * np.abs(omega)
 
     def _place(self, omega):
         return self.axis(np.clip(omega, *self.omega[[0, -1]]))
