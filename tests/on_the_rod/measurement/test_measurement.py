@@ -174,12 +174,6 @@ def test_a_drift_is_within_the_radius_and_said(loop, quick, slope):
     assert drifting.beyond_noise > 0.9 and not still.beyond_noise
 
 
-def test_noise_alone_leads_to_no_finding(loop, quick):
-    noise = noise_of(quick, 0.02, 8, 6)
-    for y in answer(loop, quick.signals) + answer(loop, 0 * noise, noise):
-        assert not measured_response(log_of(loop, quick, y)).findings
-
-
 @pytest.mark.parametrize("lines", [40, 60, 200])
 def test_lines_too_far_apart_for_a_delay_widen_the_radius(lines):
     """The phase of a long delay turns by more than a radian between 60 lines, and not of 200.

@@ -113,7 +113,7 @@ def measured_response(
     >>> design = synthesise(P, zero_phase_butterworth(2, 0.1, 1.0), omega)
     >>> print(P)
     P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
-    assumed: between them P is not further from their spline than straight lines are
+    assumed: splines miss P by no more than they miss lines that are left out
     """
     asked = {"of": of, "delay": delay}
     if isinstance(log, control.FrequencyResponseData):

@@ -102,24 +102,6 @@ def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noi
         assert FOLLOWS not in said(trials(u, y), False)
 
 
-def test_the_first_coefficient_is_as_uncertain_as_its_posterior_says():
-    """By a dense matrix."""
-    rng = np.random.default_rng(0)
-    u = np.repeat(rng.standard_normal(60), 3)[None]
-    y = lfilter([0.3], [1, -0.7], u) + 0.1 * rng.standard_normal((1, 180))
-    fit = regression(trials(u, y), True)
-    data, post, layout = fit.data, fit.posterior, fit.data.layout
-    of_first = np.zeros(len(fit.mean))
-    of_first[layout.c == 1] = 1.0
-    first = of_first @ fit.mean
-    assert fit.impulse(1).item() == pytest.approx(first)
-    precision = data.products[0, :-1, :-1] + np.diag(post.size**-2.0)
-    (share,), (explained,) = module._first(fit)
-    of_noise = of_first @ np.linalg.solve(precision, of_first)
-    assert explained == pytest.approx(first**2 / of_noise / post.rss, rel=1e-6)
-    assert share == pytest.approx(0.3, abs=0.1)
-
-
 def test_memory_grows_as_the_trials_do():
     """Columns of each trial are made for one contrast at a time: no trial by trial by time."""
     rng = np.random.default_rng(0)

@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from ilctools.measurement import regression as module
 from ilctools.measurement.regression import (
     Trials,
-    contrasts,
     lagged,
     negative_log_posterior,
     records,
@@ -65,15 +64,6 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
     kernel = np.exp(scale - np.maximum.outer(lag, lag) / np.exp(time))
     np.testing.assert_allclose(covariance[7:, 7:], kernel, rtol=1e-9)
     assert not covariance[:7].any()
-
-
-def test_contrasts_keep_independent_noise_and_take_what_repeats_into_one():
-    rng = np.random.default_rng(0)
-    signal = np.concatenate([np.zeros((5, 1)), rng.standard_normal((5, 30))], axis=1)
-    apart = contrasts(signal)
-    np.testing.assert_allclose(apart.T @ apart, signal.T @ signal, atol=1e-12)
-    again = contrasts(signal + np.arange(31.0))
-    np.testing.assert_allclose(again[1:], apart[1:], atol=1e-12)
 
 
 def test_regressors_impulse_and_frequency_response_are_those_of_one_model():
