@@ -148,7 +148,7 @@ OWN = {
     },
     ilctools.shake: {"loop": PAPER},
     ilctools.measured_response: {
-        "log": control.frd(L.frequency_response(OMEGA).T, OMEGA), "gain": None
+        "log": control.frd(L.frequency_response(OMEGA).T, OMEGA), "delay": None
     },
     ilctools.save_law: {"path": LAW_FILE},
     ilctools.load_law: {"path": LAW_FILE},

@@ -10,17 +10,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from paper import paper_loop
-from plants import (
-    LOOPS,
-    RestartingModel,
-    altered,
-    axes,
-    bump,
-    complex_normal,
-    furnace,
-    random_stable,
-    tanks,
-)
+from plants import LOOPS, RestartingModel, altered, axes, bump, furnace, random_stable, tanks
 from scipy import signal
 
 from ilctools import (
@@ -232,16 +222,12 @@ def test_frequencies_may_be_rounded():
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("Hz", 2 * np.pi), ("rad/sample", 1 / TS)])
-@pytest.mark.parametrize(("end", "noise"), [(1.0, 0.02), (0.9995, 0.0), (0.991, 0.0)])
-def test_omega_in_another_unit_is_refused(unit, factor, end, noise):
-    """Whether the last line is at the Nyquist frequency or just below; in rad/s it is not."""
-    omega = end * OMEGA
-    samples = frequency_response(MODEL, omega)
-    samples = samples * (1 + noise * complex_normal(np.random.default_rng(0), *samples.shape))
+def test_omega_in_another_unit_is_refused(unit, factor):
+    """Of a table up to the Nyquist frequency; in rad/s it is not."""
     with pytest.raises(ValueError, match=f"omega is in {unit}, multiply it by {factor:.6g}$"):
-        synthesise(samples, Q, omega / factor)
+        synthesise(P, Q, OMEGA / factor)
     for plant in (LAG, *map(random_stable, range(10))):
-        omega = np.linspace(0.01, end, 100) * (0.5 / plant.dt if unit == "Hz" else np.pi)
+        omega = np.linspace(0.01, 1.0, 100) * (0.5 / plant.dt if unit == "Hz" else np.pi)
         pose(frequency_response(plant, omega), np.exp(-omega), omega, plant.dt)
 
 

@@ -21,7 +21,6 @@ from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
-from ilctools.response.roughness import scattered
 from ilctools.singular_values import TIED, largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
@@ -200,8 +199,6 @@ class Certificate:
         problem, response, peak = self.problem, self.problem.response, self.peak
         found, M_max = [*problem.findings], problem.M_max
         omega, P, sampled = response.omega, response.P[0], response.models[0] is None
-        if sampled and response.radius is None:
-            found += scattered(omega, P, problem.Q)
         if sampled and (ahead := lead(P, omega, response.Ts)) > LEAD:
             found.append(Finding("lead", ahead, LEAD))
         if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:

@@ -12,22 +12,18 @@ other:
 
 - of one trial only, or times the time in a single trial, the simulated output and its slope:
   another gain, another delay;
-- the sign of the last move of each input, as the plant passes it on: of an input through backlash,
-  u less half the gap times this sign comes out;
 - squares and cubes of the inputs, likewise, and of the simulated output: a curve, a dead zone.
 
 What one gain more of each input explains is taken off beforehand: the prior makes gains too small,
 and of two levels squares and cubes are gains.
 
-Without a reference in the record u may follow y: then residuals e(t) move later inputs. So
-u(t + 1), u(t + 3), u(t + 9), not passed by A, are a fourth set (L. Ljung, System Identification,
-1999, section 16.6). It is blind where u = -C y, and nothing else moves u: B / A = -1 / C leaves no
-residual, and no test can distinguish this loop from a plant -1 / C. But plants in which something
+Without a reference in the record u may follow y, and what is estimated is -1 / C: no test of
+residuals can distinguish this loop from a plant -1 / C. But plants in which something
 lags answer at once by a part of what they answer in the end, a sampled one by nothing. So it is
-said as well where u(t) explains y(t), by the same F, and the first coefficient of the impulse
-response is not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a million times
-what is left: a proportional controller, or a plant without lags and almost without noise. How far
-off P is cannot be known then: by all of it.
+said where u(t) explains y(t), by the same F, and the first coefficient of the impulse response is
+not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a million times what is
+left: a proportional controller, or a plant without lags and almost without noise. How far off P is
+cannot be known then: by all of it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,12 +37,10 @@ from ilctools.measurement.regression import Regression, Trials, contrasts, recor
 
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
-LATER = (1, 3, 9)  # samples by which inputs are later
 # Of the first coefficient of an impulse response to their sum: what plants do not have, and what
 # they do not have where u(t) explains EXACT times the power that is left.
 WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
 CURVED = "the response to large inputs differs from that to small ones"
-PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
     "u follows y, as in a loop whose reference is not in the log: what is estimated may be -1/C "
     "of its controller. Add the reference, or record with the loop open"
@@ -61,8 +55,8 @@ def contradictions(
     `reference`: whether the reference is in the record, or else u may follow y.
     """
     m, parts = groups[0].u.shape[2], [name for group in groups for name in _parts(group)]
-    gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
-    sets |= {} if reference else {FOLLOWS: m * len(LATER)}  # their columns
+    # the columns of each
+    gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {CURVED: 2 * m + 2}
     q, J, power = _score(fit, groups, _columns(fit, groups, len(parts)))
     last, n, level = m, fit.data.count.sum(), FALSE_ALARM / len(sets)
     for name, k in sets.items():
@@ -71,10 +65,10 @@ def contradictions(
         more, within = max(more, 0), columns[:1] if name in parts else gains
         off = np.sqrt(more / power[np.ix_(within, within)].sum())
         said = fdtrc(k, n, n * more / k / fit.posterior.rss) < level  # (2)
-        if name == FOLLOWS and (said or _at_once(fit, level)):
-            yield name, 1.0
-        elif said and off > SEEN:
+        if said and off > SEEN:
             yield name, off
+    if not reference and _at_once(fit, level):
+        yield FOLLOWS, 1.0
 
 
 def score_test(q, J, power, columns) -> float:
@@ -113,10 +107,9 @@ def _columns(fit, groups, parts):
         y = _through(g, u).sum(axis=2, keepdims=True)
         own = _gain_and_delay(y) * (np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0)
         own, *shared = (
-            _through(fit.denominator[:, None], z - z[:, :1])
-            for z in (own, _through(g, _last_move(u)), _curve(g, u, y))
+            _through(fit.denominator[:, None], z - z[:, :1]) for z in (own, _curve(g, u, y))
         )
-        shared = contrasts(np.concatenate([*shared, _later(u)], axis=2))
+        shared = contrasts(np.concatenate(shared, axis=2))
         of_parts = np.zeros((N, parts, 2))
         for weights, Z in zip(helmert(K, full=True), shared, strict=True):
             of_parts[:, first : first + K] = np.moveaxis(weights[:, None, None] * own, 0, 1)
@@ -137,21 +130,6 @@ def _gain_and_delay(y):
 def _curve(g, u, y):
     """A curve or dead zone before the plant, or behind it: squares and cubes."""
     return np.concatenate([_through(g, u**2), _through(g, u**3), y**2, y**3], axis=2)
-
-
-def _last_move(u):
-    """Backlash: the sign of the last move, less that at the beginning, opposite to the first."""
-    moves = np.sign(np.diff(u, axis=1, prepend=0))
-    first = np.argmax(moves != 0, axis=1)[:, None]
-    moves[:, :1] = -np.take_along_axis(moves, first, 1)
-    last = np.maximum.accumulate(np.where(moves, np.arange(u.shape[1])[:, None], 0), axis=1)
-    return np.take_along_axis(moves, last, 1) - moves[:, :1]
-
-
-def _later(u):
-    """A loop whose reference is not in the record: inputs that come later."""
-    N = u.shape[1]
-    return np.concatenate([u[:, np.minimum(np.arange(k, N + k), N - 1)] for k in LATER], axis=2)
 
 
 def _at_once(fit, level):

@@ -33,16 +33,14 @@ from typing import NamedTuple
 import control
 import numpy as np
 import xarray as xr
-from scipy.signal import fftconvolve
 from scipy.special import gammainccinv, ndtri, wrightomega
 
-from ilctools import arguments
 from ilctools.errors import LogError
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.consistency import contradictions
-from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import Regression, increments, regression
+from ilctools.measurement.regression import Regression, regression
+from ilctools.models import frequency_response
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
@@ -50,18 +48,17 @@ from ilctools.threads import on_one_thread
 
 FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes benchmarks cover
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
+ROWS = 300  # of a Hankel matrix, in samples; states at most
+EXACT = 1e-12  # of the largest singular value, below which it is rounding
 UNSTABLE = 0.16  # probability of a zero of A outside, from which it is said
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
 
 class Agreement(NamedTuple):
-    """How well an estimate predicts another record.
+    """Whether an estimate agrees with another record.
 
     Attributes
     ----------
-    fit : ndarray, shape (outputs,)
-        1 - RMS of the error of simulation / RMS of the output's moves, both without a straight
-        line, and the error without what a start may leave: 1 is perfect, 0 as good as no motion.
     contradicts : bool
         Whether the two estimates are further apart at a frequency than both are uncertain; for
         records of one linear plant with a probability of 1 %.
@@ -69,7 +66,6 @@ class Agreement(NamedTuple):
         If so, by how much of P, where it is least likely; else zero.
     """
 
-    fit: np.ndarray
     contradicts: bool
     by: float
 
@@ -164,24 +160,25 @@ class EstimatedResponse(Measured):
     def model(self) -> control.StateSpace:
         """The model of lowest order within the joint radius of 99 %.
 
-        Its name says its order and its delays, which are states, too. A LogError if there is none
-        of up to 60 states beside these; see :mod:`ilctools.measurement.realisation`.
+        Balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
+        (1978) 705-714); a delay is states, too. A LogError if no order is enough.
         """
-        radius, angles = self.radius(CONFIDENCE, jointly=True), self.omega * self.loop.Ts
-        g, stable = self._impulse(2 * self.record.longest), all(fit.stable for fit in self.fits)
-        model = model_within(radius, self.response, angles, g, stable)
-        if model is None:
-            raise LogError(
-                f"P has no model of up to {MOST} states within its radius: take its frequency "
-                "response, frd(), or move the input less at high frequencies"
-            )
-        return control.ss(
-            model.A, model.B, model.C, model.D, self.loop.Ts, name=model.name,
-            inputs=self.record.inputs, outputs=self.record.outputs,
-        )  # fmt: skip
+        radius, rows = self.radius(CONFIDENCE, jointly=True), min(ROWS, self.record.longest - 1)
+        full, S = control.eigensys_realization(self._impulse(2 * rows + 1), rows, rows, rows)
+        inputs, outputs = self.names
+        for n in range(1 + np.count_nonzero(S[:rows] > EXACT * S[0])):
+            A, B, C = full.A[:n, :n], full.B[:n], full.C[:, :n]
+            model = control.ss(A, B, C, full.D, self.loop.Ts, inputs=inputs, outputs=outputs)
+            off = frequency_response(model, self.omega) - self.response
+            if np.all(largest_singular_values(off) <= radius):
+                return model
+        raise LogError(
+            f"P has no model of up to {n} states within its radius: take its frequency response, "
+            "frd(), or move the input less at high frequencies"
+        )
 
     def check(self, log: xr.Dataset) -> Agreement:
-        """How well the estimate predicts a record that it was not made of, and if it contradicts.
+        """Whether a record that the estimate was not made of contradicts it, and by how much.
 
         Parameters
         ----------
@@ -191,7 +188,7 @@ class EstimatedResponse(Measured):
         Returns
         -------
         Agreement
-            With ``fit``, ``contradicts`` and ``by``.
+            With ``contradicts`` and ``by``.
         """
         other = estimated_response([log], self.record.source)
         check_match(P=self.loop, log=other.loop)
@@ -200,28 +197,7 @@ class EstimatedResponse(Measured):
         likely = apart / np.hypot(radius, other.radius(CONFIDENCE, jointly=True))
         worst = np.argmax(likely)
         by = apart[worst] / largest_singular_values(P)[worst] if likely[worst] > 1 else 0.0
-        return Agreement(self._fit(other), bool(likely[worst] > 1), float(by))
-
-    def _fit(self, other):
-        """Of the simulation of the record of one log, of which another estimate was made."""
-        (group,), (sizes, units) = other.record.groups, other.record.sizes
-        m, start = (
-            len(sizes),
-            increments(other.fits[0].data.layout.start),
-        )  # what earlier inputs leave
-        u, y = group.u[..., :m] * sizes, group.y * units
-        n = y.shape[1]
-        g = self._impulse(n)
-        simulated = [fftconvolve(u, one.T[None], axes=1)[:, :n].sum(axis=2) for one in g]
-        simulated = np.stack(simulated, axis=2)
-        line = np.stack([np.ones(n), np.arange(n)], axis=1)
-        start = np.pad(start, ((0, n - len(start)), (0, 0)))
-        left = []
-        for columns, signal in ((line, y), (np.hstack([line, start]), y - simulated)):
-            basis = np.linalg.qr(columns)[0]
-            off = signal - basis @ (basis.T @ signal)
-            left.append(np.sum(off**2, axis=(0, 1)) / (n - basis.shape[1]))
-        return 1 - np.sqrt(left[1] / left[0])
+        return Agreement(bool(likely[worst] > 1), float(by))
 
     def _basis(self, omega, confidence):
         lines = [
@@ -232,11 +208,10 @@ class EstimatedResponse(Measured):
             "two slow parts",
         ]
         if not self.known.all():
-            ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
-            words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[:5]]
+            low, high = self.omega[self.known][[0, -1]]
             lines.append(
-                f"P is identified from {', '.join(words)} rad/s; elsewhere the input had too "
-                "little power, and the radius is that of what was assumed before the data"
+                f"P is identified from {low:.3g} to {high:.3g} rad/s, at {self.known.mean():.0%}; "
+                "else the input had too little power, and what was assumed makes the radius"
             )
         return lines
 
@@ -246,39 +221,26 @@ class EstimatedResponse(Measured):
         return f"{super().__repr__()}\n{within}"
 
 
-def _at_rest(record, units, gain):
-    """P(0) of each output, relative to units, if it is known."""
-    if gain is not None:
-        gain = arguments.array("gain", gain, units.shape)
-    elif record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
-        gain = np.eye(len(units))  # its observer integrates
-    return [None] * len(units) if gain is None else gain / units
-
-
-def _words(said):
-    """Of contradictions, the largest of P."""
-    words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])
-    return (
-        f"{words}. The radius is larger for it: leave such trials or times out, by isel, or move "
-        "the input less"
-    )
-
-
 @on_one_thread
 def estimated_response(
-    logs: Sequence[xr.Dataset], of: str | None = None, gain=None, delay=None
+    logs: Sequence[xr.Dataset], of: str | None = None, delay=None
 ) -> EstimatedResponse:
     """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
     record = Record.of(logs, of, delay)
     units = record.sizes[1][:, None] / record.sizes[0]
-    rows = _at_rest(record, units, gain)
+    ours = record.source == "w" and isinstance(record.loop, CurrentTrialLoop)
+    rows = np.eye(len(units)) / units if ours else [None] * len(units)  # its observer integrates
     noted = record.source == "w" or all("reference" in log for log in logs)
     fits, contradicted, apart = [], [], 0.0
     for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):
         groups = record.of_output(i)
         fits.append(regression(groups, record.direct, record.delay, row))
         if said := sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1]):
-            contradicted.append(f"{name} is not that of one linear plant: {_words(said)}")
+            words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])
+            contradicted.append(
+                f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
+                "leave such trials or times out, by isel, or move the input less"
+            )
             apart = max(apart, said[0][1])
     nyquist = np.pi / record.loop.Ts
     omega = np.geomspace(nyquist / (2 * record.longest), nyquist, 200)

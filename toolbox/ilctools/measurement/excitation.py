@@ -39,20 +39,13 @@ class Excitation:
 
     def __post_init__(self):
         arguments.sampling_period("Ts", self.Ts)
-        period = arguments.whole("period", self.period, 3)
         arguments.whole("periods", self.periods, 2)
-        arguments.array("harmonics", self.harmonics, ("line",))
-        highest = 0
-        for harmonic in self.harmonics:
-            highest = arguments.whole("harmonics", harmonic, highest + 1, (period - 1) // 2)
         amplitude = arguments.array("amplitude", self.amplitude, ("input",))
         shape = ("realisation", len(amplitude), len(self.harmonics))
         phases = arguments.array("phases", self.phases, shape)
         arguments.whole("realisations", len(phases), FEWEST)
-        if amplitude.min() <= 0:
-            raise ValueError(f"amplitude = {amplitude} must be positive numbers")
         rows = tuple(tuple(map(tuple, inputs)) for inputs in phases.tolist())
-        amplitude = tuple(amplitude.tolist())
+        amplitude = tuple(arguments.positive("amplitude", value) for value in amplitude)
         vars(self).update(harmonics=tuple(self.harmonics), phases=rows, amplitude=amplitude)
 
     @property

@@ -25,20 +25,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 from scipy.special import chdtrc, fdtrc, fdtri, polygamma, psi
 
 from ilctools.law.limits import commands_beyond
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.excitation import Excitation
-from ilctools.response.measured import Measured, interpolated
+from ilctools.response.measured import Measured
+from ilctools.response.samples import Samples
 
 # Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
 # radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
 NEAR = 8
-DRIFT = 3.0  # standard deviations without drift, from which one is reported
 SIGNIFICANCE = 1e-3  # probability of a false report
-TOLERANCE = 1.2  # of a radius: half of the lines must predict more than all of them
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,8 +80,9 @@ class ExcitedResponse(Measured):
     def beyond_noise(self) -> float:
         """Share of the variance of P, over all lines, that is no noise; 0 where it may be chance.
 
-        It is what is not linear, or a transient longer than the first period. Of a linear loop that
-        has settled, (3) over (2) has an F distribution at each line; Fisher's method combines them.
+        It is what is not linear, a drift, or a transient longer than the first period. Of a linear
+        loop that has settled, (3) over (2) has an F distribution at each line; Fisher's method
+        combines them.
         """
         (R, N, n), (noise, both), d = self.periods.shape[:3], self._variances, self._error[1]
         p = fdtrc(2 * d * (R - 1), 2 * d * R * (N - 1), both / noise)
@@ -137,22 +136,15 @@ class ExcitedResponse(Measured):
         square, d, f = self._error
         return np.sqrt(square * fdtri(2 * d, 2 * f, 1 - miss))
 
-    def _on(self, omega, confidence):
-        """Splined, at negative frequencies as well, and I at zero if that is known of the loop.
-
-        The radius is that of the neighbours, interpolated linearly, and by how much the spline
-        differs from straight lines. Above the highest frequency the response is the one there, and
-        the radius contains all that is not larger.
-        """
-        rest, P = [0.0] * self.anchored, self.response
-        radius = np.append(rest, self.radius(confidence, jointly=True))
-        knots, at_rest = np.append(rest, self.omega), np.eye(P.shape[1])[None, :][: len(rest)]
-        both = np.append(-self.omega[::-1], knots)
-        P_both = np.concatenate([P[::-1].conj(), at_rest, P])
-        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
-        beyond = omega > knots[-1] * (1 + 1e-9)
-        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
-        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+    def _samples(self, confidence):
+        """At negative frequencies as well, and I at zero if that is known of the loop."""
+        m, radius = self.response.shape[1], self.radius(confidence, jointly=True)
+        rest = np.eye(m)[None, :][: self.anchored]
+        return Samples(
+            np.concatenate([-self.omega[::-1], [0.0] * self.anchored, self.omega]),
+            np.concatenate([self.response[::-1].conj(), rest, self.response]),
+            np.concatenate([radius[::-1], [0.0] * self.anchored, radius]),
+        )
 
     @property
     def anchored(self) -> bool:
@@ -164,19 +156,12 @@ class ExcitedResponse(Measured):
 
     def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]
-        beyond = np.count_nonzero(omega > high * (1 + 1e-9))
-        lines = [
+        return (
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
-            "assumed: between them P is not further from their spline than straight lines are; "
-            + ("P(0) = I" if self.anchored else f"nor below {low:.4g} rad/s"),
-        ]
-        if beyond:
-            lines.append(
-                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
-                "larger than there"
-            )
-        return lines
+            *self._between(omega, confidence),
+            *["assumed: P(0) = I"] * self.anchored,
+        )
 
     def __repr__(self):
         radius = self.radius()
@@ -188,7 +173,7 @@ class ExcitedResponse(Measured):
             f"{np.median(self.noise):.2g}",
         ]
         if share := self.beyond_noise:
-            lines.append(f"{share:.0%} of the variance is not linear, or had not settled")
+            lines.append(f"{share:.0%} of the variance is not linear, drifts, or had not settled")
         return "\n".join([*lines, *self.findings])
 
 
@@ -211,17 +196,13 @@ def _directions(off, near, freedom):
 def excited_response(w, y, u, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
     """From signals of all periods that are evaluated, (experiment, time, channel)."""
     W, Y = (_spectra(signal, excitation) for signal in (w, y))
-    periods = Y @ np.linalg.inv(W)  # (1)
-    measured = ExcitedResponse(excitation.omega, periods, loop)
-    findings = (
-        (beyond := commands_beyond(u, loop.controls, limits))
-        and f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
-        "Shake with a smaller amplitude",
-        _drift(y, W, excitation, measured),
-        _far_from_identity(measured),
-        _sparse(measured),
+    beyond = commands_beyond(u, loop.controls, limits)
+    finding = (
+        f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
+        "Shake with a smaller amplitude"
     )
-    return replace(measured, findings=tuple(filter(None, findings)))
+    periods = Y @ np.linalg.inv(W)  # (1)
+    return ExcitedResponse(excitation.omega, periods, loop, (finding,) if beyond else ())
 
 
 def _spectra(signal, excitation):
@@ -230,61 +211,3 @@ def _spectra(signal, excitation):
     parts = signal.reshape(-1, m, excitation.periods, excitation.period, m)
     lines = np.fft.rfft(parts, axis=3)[:, :, :, list(excitation.harmonics)]
     return np.moveaxis(lines, 1, -1)
-
-
-def _drift(y, W, excitation, measured):
-    """Whether the means drift from period to period by more than noise explains."""
-    m, period = excitation.channels, excitation.period
-    means = y.reshape(len(y), excitation.periods, period, m).mean(axis=2)
-    number = np.arange(excitation.periods) - (excitation.periods - 1) / 2
-    slope = np.einsum("p,epj->ej", number, means) / (number @ number)
-    ramp = slope[:, None] * np.arange(y.shape[1])[:, None] / period
-    by_ramp = _spectra(ramp, excitation) @ np.linalg.inv(W)
-    error = np.linalg.norm(by_ramp.mean(axis=(0, 1)), axis=(1, 2))
-    worst = np.argmax(error / measured.noise)  # which a ramp, alike in all periods, does not move
-    if error[worst] <= DRIFT * measured.noise[worst]:
-        return None
-    largest = np.abs(slope).max(axis=0)
-    hourly = largest.max() / (period * excitation.Ts) * 3600
-    return (
-        f"{measured.loop.outputs[largest.argmax()]} drifts by {hourly:.3g} an hour: P is off by "
-        f"about {error[worst]:.2g} at {measured.omega[worst]:.3g} rad/s, and the radius is larger "
-        "for it. Wait until the rig is warm or has settled, or shake at higher frequencies"
-    )
-
-
-def _far_from_identity(measured):
-    """Whether P, where it is I at zero, is far from it at the lowest frequency."""
-    P = measured.response[0]
-    distance = np.linalg.norm(P - np.eye(len(P)), 2)
-    if distance <= 1 or not measured.anchored:
-        return None
-    return (
-        f"P differs from I by {distance:.2g} at the lowest frequency, {measured.omega[0]:.3g} "
-        "rad/s: between it and zero, P is not known. Shake at lower frequencies, or design above"
-    )
-
-
-def _sparse(measured):
-    """Whether every other line predicts those between, within the radius that it claims."""
-    n = len(measured.omega)
-    own_radius = measured.radius(1 - SIGNIFICANCE, jointly=True)
-    worst, text = 0.0, None
-    for odd in (0, 1):
-        chosen = np.union1d(np.arange(odd, n, 2), [0, n - 1])
-        half = replace(
-            measured, omega=measured.omega[chosen], periods=measured.periods[:, :, chosen]
-        )
-        predicted, radius = half.on(measured.omega, 1 - SIGNIFICANCE)
-        radius = maximum_filter1d(radius, 5)  # small by itself where P hardly bends
-        error = np.linalg.norm(predicted - measured.response, 2, axis=(1, 2))
-        excess = error - TOLERANCE * (radius + own_radius)
-        k = excess.argmax()
-        if excess[k] > worst:
-            worst = excess[k]
-            text = (
-                f"lines are too far apart near {measured.omega[k]:.3g} rad/s: from every other one "
-                f"P would be off by {error[k]:.2g} there, with a radius of {radius[k]:.2g}; "
-                "between those that there are, the radius may be as wrong. Shake with more lines"
-            )
-    return text

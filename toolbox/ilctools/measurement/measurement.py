@@ -26,7 +26,7 @@ ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as log
 
 
 def measured_response(
-    log, of: str | None = None, uncertainty=None, *, gain=None, delay=None
+    log, of: str | None = None, uncertainty=None, *, delay=None
 ) -> ExcitedResponse | EstimatedResponse | TabulatedResponse:
     """Make a measured response, with the region in which the truth lies, of what there is.
 
@@ -39,14 +39,11 @@ def measured_response(
         response, which is splined between its lines.
     of : {"w", "u"}, optional
         Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
-        Default: from w, if all records have a reference. If this, `gain` or `delay` is given, a
-        record of :func:`shake` is estimated like any other.
+        Default: from w, if all records have a reference. If this or `delay` is given, a record of
+        :func:`shake` is estimated like any other.
     uncertainty : array_like, shape (n,), or float, optional
         Of a table: the radius at its lines, or one number, relative to sigma_max(P). Default: they
-        are exact.
-    gain : array_like, shape (outputs, inputs), optional
-        P at rest, P(0), if it is known, in the units of the record. Default: I from w of a
-        :class:`CurrentTrialLoop`, whose observer integrates; else not known.
+        count as exact, noise and all, and nothing says if they scatter: then pass a radius.
     delay : int or array_like, shape (inputs,), optional
         Samples after which y answers to each input at the earliest, if it is known; further delay
         is searched for. Default: 0.
@@ -68,10 +65,11 @@ def measured_response(
     Warns
     -----
     UserWarning
-        Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
-        drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
-        trials, or the course of one, that contradict one linear plant; an output that may not
-        settle; a table without a radius that scatters from line to line.
+        Each of the findings: commands beyond the limits; trials, or the course of one, that
+        contradict one linear plant; an output that may not settle. A rig that is not linear, drifts
+        or had not settled when shaken widens the radius, and print says so. No warning says that
+        lines are too far apart, or begin too high: between them, and below the first, the radius
+        grows by what splines of every other line miss.
 
     See Also
     --------
@@ -93,6 +91,7 @@ def measured_response(
     with a weak mode below the noise, may lie outside more often, and so may a slow one at low
     frequencies, most if trials under learning have converged: record the first ones. See
     :mod:`ilctools.measurement.estimation` for the radius.
+    Beware of backlash: the radius does not contain it, and hardly any record shows it.
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
     only, and else on u(t), too.
@@ -114,9 +113,9 @@ def measured_response(
     >>> design = synthesise(P, zero_phase_butterworth(2, 0.1, 1.0), omega)
     >>> print(P)
     P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
-    assumed: between them P is not further from their spline than straight lines are
+    assumed: splines miss P by no more than they miss lines that are left out
     """
-    asked = {"of": of, "gain": gain, "delay": delay}
+    asked = {"of": of, "delay": delay}
     if isinstance(log, control.FrequencyResponseData):
         for name, value in asked.items():
             if value is not None:
@@ -168,10 +167,9 @@ def _signals(log, excitation):
             "with shake and the same path"
         )
     w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
-    off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
-    for name, share in zip(log.output.values, off, strict=True):
-        if share > ROUNDED:
-            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+    off = (np.abs(w - shaken) / excitation.amplitude).max()
+    if off > ROUNDED:
+        raise LogError(f"w is not the excitation: it is off by {off:.2g} of its amplitude")
     y = arguments.array("log.y", log.y.values, shaken.shape)
     check_moved([y], log.output.values, "log.y", "is it connected?")
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]

@@ -63,13 +63,11 @@ class Record:
         return [group._replace(y=group.y[..., [i]]) for group in self.groups]
 
     def __str__(self):
-        sizes = [group.y.shape for group in self.groups]
-        words = [f"{K} trials" if K > 1 else "one trial" for K, *_ in sizes]
-        words = [f"{word} of {N} samples" for word, (_, N, _) in zip(words, sizes, strict=True)]
-        repeats = ", what repeats in all trials" if any(K > 1 for K, *_ in sizes) else ""
+        trials = sum(len(group.y) for group in self.groups)
         return (
-            f"{' and '.join(words)}, from {self.source} to y; assumed: y is moved by "
-            f"{self.source}{repeats}, known disturbances, noise and drift only"
+            f"{trials} trials of up to {self.longest} samples, from {self.source} to y; assumed: y "
+            f"is moved by {self.source}, known disturbances, what repeats in all trials of a log, "
+            "noise and drift only"
         )
 
 

@@ -50,10 +50,8 @@ Haykin, IEEE Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one).
 from x by (3), and from the points, at which P is another. No number is random.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +60,7 @@ from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import lfilter
 from scipy.special import diric, expit
 
 from ilctools.errors import LogError
@@ -73,7 +71,6 @@ SLOW = np.array([1.0, 3.0])  # longest records in time constants of slow parts
 CLOSE, STEP = 40, 8
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
-BLOCK = 2048  # samples of a record whose regressors are in memory at a time
 # Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, rho, and of
 # log(c s^2) of slow parts: a twentieth of the output's size, as their motion, like drift's, says no
 # other.
@@ -167,29 +164,18 @@ def _of_block(kind, c, knots):
     return np.vstack([both, knots - knots[0], np.where(gap > 0, gap, np.inf)])
 
 
-def lagged(signal: np.ndarray, knots: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """T(u) H: a signal (time,) by each column of H; at times t, one after the other, (knot, t).
+def lagged(signal: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """T(u) H, transposed: a signal (time,) by each column of H, (knot, time).
 
     A column of H is one from the first knot to its own, and from there falls to zero at the next in
     a straight line: it makes a running sum of u, less the mean of earlier ones.
     """
-    gap, before = np.append(np.diff(knots), 1), knots[-1] + 1
+    gap, before, N = np.append(np.diff(knots), 1), knots[-1] + 1, len(signal)
     sums = np.append(np.zeros(before), np.cumsum(signal))
     lengths, which = np.unique(gap, return_inverse=True)
     means = [uniform_filter1d(sums, n, mode="constant", origin=(n - 1) // 2) for n in lengths]
-    means = np.array(means)
-
-    def at(t):
-        ahead = sliding_window_view(means, len(t), axis=1)  # from each time on
-        return sums[t + before - knots[0]] - ahead[which, t[0] + before - 1 - knots]
-
-    return at
-
-
-def increments(knots: np.ndarray) -> np.ndarray:
-    """H, (lag, knot)."""
-    lags = np.arange(knots[-1] + 1)
-    return lagged(lags == 0, knots)(lags).T
+    earlier = sliding_window_view(means, N, axis=1)[which, before - 1 - knots]
+    return sums[before - knots[0] :][:N] - earlier
 
 
 def waves(knots: np.ndarray, omega: np.ndarray) -> np.ndarray:
@@ -209,18 +195,21 @@ def contrasts(signal: np.ndarray) -> np.ndarray:
     return np.tensordot(helmert(len(signal), full=True), signal, 1)
 
 
-def _terms(groups, layout):
-    """Of each record: unknowns and their regressors at times t, (unknown, t), by term of (1); y."""
+def _regressors(groups, layout):
+    """Of each record: X, transposed, (unknown, time), y, and whether they are means over trials."""
     of_P, starts, drifts = (np.flatnonzero(np.isin(layout.c, c)) for c in ((0, 1, 6), 2, 3))
     starts = iter(starts.reshape(-1, len(layout.start)))
     for group, drift in zip(groups, drifts.reshape(len(groups), -1), strict=True):
         t, ends = np.arange(group.y.shape[1]), np.linspace(0, group.y.shape[1] - 1, KNOTS + 1)
-        start = lagged(t == 0, layout.start)
-        ramps = partial(np.take, np.clip((t - ends[:-1, None]) / ends[1], 0, 1), axis=1)
         signals = zip(contrasts(group.u), contrasts(group.y[..., 0]), strict=True)
         for k, (u, y) in enumerate(signals):
-            terms = [(of_P, _dynamics(u, y, layout)), *((own, start) for own in islice(starts, 1))]
-            yield terms + [(drift, ramps)] * (k == 0), y, k == 0 and len(group.y) > 1
+            X = np.zeros((len(layout.kind), len(t)))
+            X[of_P] = _dynamics(u, y, layout)
+            if layout.starts:
+                X[next(starts)] = lagged(t == 0, layout.start)
+            if k == 0:  # which the trials have in common
+                X[drift] = np.clip((t - ends[:-1, None]) / ends[1], 0, 1)
+            yield X, y, k == 0 and len(group.y) > 1
 
 
 def _dynamics(u, y, layout):
@@ -228,34 +217,19 @@ def _dynamics(u, y, layout):
     (past, *moved), poles = layout.knots, layout.poles
     parts = [lagged(-y, past)]
     for x, knots in zip(u.T, moved, strict=True):
-        slow = np.array([lfilter([0, 1 - p], [1, -p], x) for p in poles])
-        parts += [lagged(x, knots), partial(np.take, slow, axis=1)]
-    return lambda t: np.vstack([part(t) for part in parts])
+        parts += [lagged(x, knots), [lfilter([0, 1 - p], [1, -p], x) for p in poles]]
+    return np.vstack(parts)
 
 
 def records(groups, layout, beside=None) -> Iterator[tuple[np.ndarray, bool]]:
     """[X, y] and columns `beside` it, (time, column), and whether they are of a mean over trials.
 
-    Of each record, without offset and slope; of a long one in blocks, which take less memory.
+    Of each record, without offset and slope.
     """
-    p = len(layout.kind)
-    for terms, y, mean in _terms(groups, layout):
-        last = np.vstack([y, next(beside).T]) if beside else y[None]
-        time = np.arange(layout.skipped, len(y))
-        line = np.linalg.qr(np.vander(time / len(y) - 0.5, 2))[0]
-        times, lines = (np.array_split(x, len(time) // BLOCK + 1) for x in (time, line))
-
-        @lru_cache(1)  # most records are one block
-        def columns(k, terms=terms, last=last, times=times):
-            X = np.zeros((p + len(last), len(times[k])))
-            for unknowns, regressors in terms:
-                X[unknowns] = regressors(times[k])
-            X[p:] = last[:, times[k]]
-            return X
-
-        along = sum(columns(k) @ part for k, part in enumerate(lines))
-        for k, part in enumerate(lines):
-            yield (columns(k) - along @ part.T).T, mean
+    for X, y, mean in _regressors(groups, layout):
+        rows = np.vstack([X, y, *([next(beside).T] if beside else [])])[:, layout.skipped :]
+        line = np.linalg.qr(np.vander(np.linspace(-1, 1, rows.shape[1]), 2))[0]
+        yield (rows - rows @ line @ line.T).T, mean
 
 
 class _Normal(NamedTuple):
@@ -437,18 +411,7 @@ class Regression:
             x, slow = np.split(self.of(1 + j, self.mean), [len(knots)])
             B.append(_coefficients(x, knots, n))
             B[j][1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
-        g = fftconvolve(B, [_reciprocal(self.denominator, n)], axes=1)[:, :n]
-        g[:, 0] = np.array(B)[:, 0]  # exactly: zero where y does not answer at once
-        return g
-
-
-def _reciprocal(a, n):
-    """1 / A(z) as a series of n terms, twice as many in each of Newton's steps g (2 - a g)."""
-    g = np.ones(1)
-    while len(g) < n:
-        k = 2 * len(g)
-        g = 2 * np.pad(g, (0, k // 2)) - fftconvolve(fftconvolve(a[:k], g)[:k], g)[:k]
-    return g[:n]
+        return lfilter([1.0], self.denominator, np.array(B))
 
 
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:

@@ -8,8 +8,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
-from ilctools.response.measured import Measured, interpolated, radius_of, with_phase
-from ilctools.response.roughness import scattered
+from ilctools.response.measured import Measured, radius_of, with_phase
 
 
 @dataclass(frozen=True, repr=False)
@@ -23,27 +22,9 @@ class TabulatedResponse(Measured):
     response: np.ndarray  # shape (n, m, m), complex
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
     loop: ClosedLoop | None  # names and sampling period, if the table says one
-    findings: tuple[str, ...] = ()  # what speaks against it
 
     def _radius(self, confidence, jointly):
         return self.uncertainty
-
-    def _on(self, omega, confidence):
-        """Splined over the logarithm of the frequency.
-
-        The radius is that of the neighbours, interpolated, and by how much the spline differs from
-        straight lines; beyond the ends of the table it contains all that is not larger than there.
-        """
-        low, high = self.omega[[0, -1]]
-        within, knots = np.log(np.clip(omega, low, high)), np.log(self.omega)
-        spline, radius = interpolated(knots, self.response, within)
-        radius += np.interp(within, knots, self.uncertainty)
-        beyond = 2 * np.linalg.norm(spline, 2, axis=(1, 2))
-        return spline, radius + np.where(self._outside(omega), beyond, 0)
-
-    def _outside(self, omega):
-        low, high = self.omega[[0, -1]]
-        return (omega < low * (1 - 1e-9)) | (omega > high * (1 + 1e-9))
 
     def _scaled(self, scale):
         units = scale / scale[:, None]
@@ -54,14 +35,11 @@ class TabulatedResponse(Measured):
     def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]
         known = "with its radius" if self.uncertainty.any() else "as exact as its lines"
-        lines = [
+        return (
             f"P from a table of {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s, "
             f"{known}",
-            "assumed: between them P is not further from their spline than straight lines are",
-        ]
-        if outside := np.mean(self._outside(omega)):
-            lines.append(f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there")
-        return lines
+            *self._between(omega, confidence),
+        )
 
 
 def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> TabulatedResponse:
@@ -79,5 +57,4 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     radius = radius_of(0.0 if uncertainty is None else uncertainty, P)
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
-    findings = () if radius.any() else tuple(map(str, scattered(omega, P)))
-    return TabulatedResponse(omega, P, radius, loop, findings)
+    return TabulatedResponse(omega, P, radius, loop)

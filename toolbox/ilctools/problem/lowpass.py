@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem import defaults
-from ilctools.response.response import axis_of
+from ilctools.response.samples import axis_of
 
 RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
 IMAGINARY = 1e-6  # relative: imaginary part that the rounding of samples may leave of a real Q

@@ -13,19 +13,12 @@ from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import Response
-from ilctools.response.roughness import scatter
 from ilctools.signals import Signals, check_match
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
 LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
-# relative: imaginary part that the rounding of a table may leave of a real response
-IMAGINARY = 1e-6
-SCATTERED = 4  # times the RMS by which the lines scatter, that noise may
-# Of tables in Hz that end by 1 / (2 Ts), of 88 plants, a polynomial of TERMS over NEAR of it misses
-# less than MISSED of Im P in 76 %, with noise of 2 % in 33 %; of tables in rad/s 0.04 and more
-LAST, NEAR, TERMS, MISSED = 0.01, 0.2, 6, 0.03
-FURTHER = 1.25  # with units that are nearer to each other their Nyquist frequencies are, too
+PRINTED = 1e-6  # relative, of a table: digits of its last frequency, and of P, which is real there
 
 
 def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
@@ -53,14 +46,14 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
                 "uncertainty must be None if P is a measured response, which has a radius of its "
                 "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
             )
-        _refuse_other_units("P.omega", P.omega, P.response[None], Ts)
         known = {"P": P.on(omega, CONFIDENCE)[0]}
         _, uncertainty = P.on(omega, CONFIDENCE, scale)
         assumptions = P.basis(omega, CONFIDENCE)
     models, responses = _on_grid(known, omega, Ts)
     signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
     check_match(**signals, Q=Q, grid=Signals(Ts))
-    _refuse_other_units("omega", omega, responses, Ts)
+    own = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
+    _refuse_other_units(*own, Ts)
     models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
         if np.ndim(uncertainty) == 0:
@@ -183,30 +176,15 @@ def in_own_units(response: Response) -> Response:
     return replace(response, models=tuple(models), P=P, radius=radius, scale=np.ones(len(scale)))
 
 
-def _refuse_other_units(name, omega, responses, Ts):
+def _refuse_other_units(omega, P, Ts):
     """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
+    rounding = PRINTED * np.abs(P[-1]).max()
+    if not np.abs(P[-1].imag).max() <= rounding < np.abs(P.imag).max():
+        return
     for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
-        short, further = 1 - omega[-1] / end, np.pi / Ts / end
-        if not -IMAGINARY < short < LAST or abs(omega[-1] * Ts - np.pi) < IMAGINARY:
-            continue
-        for P in responses:
-            size, imaginary = (np.abs(x).max(axis=(1, 2)) for x in (P, P.imag))
-            rounding = max(IMAGINARY * size.max(), SCATTERED * scatter(omega, P) * size[-1])
-            real = imaginary[-1] <= rounding < imaginary.max()
-            if (real and short < IMAGINARY) or (further > FURTHER and _mirrored(omega, P, end)):
-                raise ValueError(
-                    f"{name} ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as "
-                    f"at the Nyquist frequency: omega is in {unit}, multiply it by {further:.6g}"
-                )
-
-
-def _mirrored(omega, P, end) -> bool:
-    """Whether P(end + x) is the conjugate of P(end - x), as at the Nyquist frequency.
-
-    That is, a polynomial of j x with real coefficients, near this end.
-    """
-    near = omega > (1 - NEAR) * end
-    powers = (1j * (1 - omega[near, None] / end) / NEAR) ** np.arange(TERMS)
-    A, Y = (np.vstack([x.real, x.imag]) for x in (powers, P[near].reshape(len(powers), -1)))
-    missed = np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y)[0])
-    return len(powers) >= TERMS and missed < MISSED * np.linalg.norm(P[near].imag)
+        factor = np.pi / Ts / end
+        if abs(omega[-1] / end - 1) < PRINTED < abs(factor - 1):
+            raise ValueError(
+                f"omega ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as at "
+                f"the Nyquist frequency: omega is in {unit}, multiply it by {factor:.6g}"
+            )

@@ -3,10 +3,9 @@
 import control
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
-from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
+from ilctools.response.samples import Samples
 from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99  # in a measured response
@@ -17,7 +16,9 @@ class Measured:
 
     A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
     `findings`, which speak against it. It says what the doors here ask by ``_radius(confidence,
-    jointly)``, ``_on(omega, confidence)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``.
+    jointly)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``; by ``_samples(confidence)``,
+    if those between which it is splined are not those at `omega`, or else by ``_on(omega,
+    confidence)``.
     """
 
     findings = ()
@@ -62,6 +63,21 @@ class Measured:
             own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
         return own._on(omega, probability(confidence))
 
+    def _samples(self, confidence):
+        return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
+
+    def _on(self, omega, confidence):
+        """As :mod:`.samples` says; beyond the ends all that is not larger than there."""
+        samples = self._samples(confidence)
+        P, radius = samples.at(omega)
+        return P, radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
+
+    def _between(self, omega, confidence):
+        """What is assumed there, in words."""
+        yield "assumed: splines miss P by no more than they miss lines that are left out"
+        if outside := np.mean(self._samples(confidence).outside(omega)):
+            yield f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there"
+
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
         """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
         lines = self._basis(arguments.row("omega", omega), probability(confidence))
@@ -78,52 +94,36 @@ class Measured:
         """The response at `omega`, with names and sampling period, for python-control."""
         (inputs, outputs), dt = self.names, True if self.loop is None else self.loop.Ts
         P = np.moveaxis(self.response, 0, -1)
-        return control.frd(
-            P, self.omega, dt, smooth=False, name="P", inputs=inputs, outputs=outputs
-        )
+        return control.frd(P, self.omega, dt, inputs=inputs, outputs=outputs)
 
     def plot(self) -> Figure:
-        """Draw gain and phase of each entry of P, and their joint region of 99 %.
+        """Draw gain and phase of each entry of P, a column each, and the joint radius of 99 %.
 
-        Two rows for each output; shaded gray where P is not identified. Of an excited rig also the
-        standard deviations of P by noise and by what is not linear.
+        A radius of more than nine tenths of the gain is drawn down to a tenth of it: there P is
+        hardly identified. Of an excited rig also the standard deviations of P by noise and by what
+        is not linear.
 
         Returns
         -------
         matplotlib.figure.Figure
         """
-        (inputs, outputs), (n, p, m) = self.names, self.response.shape
-        figure = Figure(figsize=(3.2 * m, 4 * p), layout="constrained")
-        axes = figure.subplots(2 * p, m, squeeze=False)
-        radius = self.radius(CONFIDENCE, jointly=True)
-        known = getattr(self, "known", np.ones(n, bool))
-        sizes = np.abs(self.response)
-        floors = np.maximum(sizes, 1e-5 * (sizes.max() or 1)) / 10  # zero is on no logarithmic axis
-        for i, j in np.ndindex(p, m):
-            gain, phase = axes[2 * i : 2 * i + 2, j]
-            self._draw(gain, phase, self.response[:, i, j], radius, floors[:, i, j].min())
+        (inputs, outputs), omega, P = self.names, self.omega, self.response
+        radius, pairs = self.radius(CONFIDENCE, jointly=True), [*np.ndindex(P.shape[1:])]
+        figure = Figure(figsize=(3.2 * len(pairs), 4.5), layout="constrained")
+        gains, phases = figure.subplots(2, len(pairs), sharex=True, squeeze=False)
+        for (i, j), gain, phase in zip(pairs, gains, phases, strict=True):
+            size = np.abs(P[:, i, j])
+            band = np.maximum(size - radius, size / 10), size + radius
+            gain.fill_between(omega, *band, alpha=0.3, label="radius, 99 %")
+            gain.loglog(omega, size)
+            for name in ("noise", "distortion"):
+                if hasattr(self, name):
+                    gain.loglog(omega, getattr(self, name), label=name, nonpositive="mask")
             gain.set(title=f"{inputs[j]} to {outputs[i]}", ylabel="gain")
+            phase.semilogx(omega, np.degrees(np.unwrap(np.angle(P[:, i, j]))))
             phase.set(xlabel="frequency (rad/s)", ylabel="phase (deg)")
-            for ax in (gain, phase):
-                across = ax.get_xaxis_transform()
-                ax.fill_between(self.omega, 0, 1, ~known, color="0.9", transform=across)
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+        gain.legend(bbox_to_anchor=(1, 1))
         return figure
-
-    def _draw(self, gain, phase, P, radius, floor):
-        """Gain and phase of one entry, (n,)."""
-        size, turned = np.maximum(np.abs(P), floor), np.unwrap(np.angle(P))
-        off = np.where(radius < size, np.arcsin(np.minimum(radius / size, 1)), np.pi)
-        gain.loglog(self.omega, size)
-        gain.fill_between(self.omega, np.maximum(size - radius, floor), size + radius, alpha=0.3)
-        for name, style in (("noise", "0.5"), ("distortion", "0.7")):
-            if hasattr(self, name):
-                gain.loglog(self.omega, getattr(self, name), color=style, label=name)
-                floor = None
-        gain.yaxis.set_minor_formatter(NullFormatter())
-        gain.set_ylim(floor)
-        phase.semilogx(self.omega, np.degrees(turned))
-        phase.fill_between(self.omega, *np.degrees([turned - off, turned + off]), alpha=0.3)
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
@@ -154,9 +154,3 @@ def with_phase(name: str, P) -> np.ndarray:
 def probability(confidence) -> float:
     """A confidence, that of a region."""
     return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-
-
-def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
-    """A cubic spline through P, (n, m, m), and by how much it differs from straight lines."""
-    spline, straight = (make_interp_spline(knots, P, k)(at) for k in (3, 1))
-    return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))

@@ -1,14 +1,7 @@
 """What is known of P: frequency responses of plants, between their frequencies and beyond.
 
-Models are known anywhere. Between samples P runs along cubic splines, the radius along straight
-lines. Measured grids are linear or logarithmic, plants smooth over one or the other: both run over
-omega or log omega, over that in which splines predict every other sample better.
-
-A spline misses P between its samples. By how much is estimated by what the spline of every other
-sample misses of those left out, at twice the distance. The larger of what is missed at two
-neighbours, times 4 t (1 - t) from one to the other, is a radius, in which P lies if its resonances
-show in the samples; what the radius of the samples covers counts once. Above the last sample P is
-zero with a radius, its size there.
+Models are known anywhere, samples as :mod:`.samples` says. Above the last sample P is zero with a
+radius, its size there.
 """
 
 from dataclasses import dataclass, replace
@@ -16,13 +9,12 @@ from functools import cached_property
 
 import control
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ilctools.models import frequency_response
+from ilctools.response.samples import Samples
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
-FEWEST = 4  # samples of which every other one can be left out
 ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
 
 
@@ -64,22 +56,16 @@ class Response:
 
         A radius of a model ends with the frequencies at which it is given.
         """
-        omega, model, radius = np.asarray(omega), self.models[plant], np.zeros(len(omega))
-        if model is not None and self.radius is None:
-            return frequency_response(model, omega), radius
-        known, place = self.axis(self.omega), self.axis(omega.clip(*self.omega[[0, -1]]))
+        omega, model, samples = np.asarray(omega), self.models[plant], self.samples[plant]
+        if model is None:
+            P, radius = samples.at(omega)
+            if self.beyond is not None:
+                unknown = omega > self.omega[-1]
+                P[unknown], radius[unknown] = 0, self.beyond
+            return P, radius
+        P, radius = frequency_response(model, omega), np.zeros(len(omega))
         if self.radius is not None:
-            radius = np.interp(place, known, self.radius)
-        if model is not None:
-            inside = (omega >= self.omega[0]) & (omega <= self.omega[-1])
-            return frequency_response(model, omega), np.where(inside, radius, 0)
-        P, missed = CubicSpline(known, self.P[plant])(place), self.missed[plant]
-        after = np.searchsorted(known, place).clip(1, len(known) - 1)
-        t = (place - known[after - 1]) / (known[after] - known[after - 1])
-        radius += 4 * t * (1 - t) * np.maximum(missed[after - 1], missed[after])
-        if self.beyond is not None:
-            unknown = omega > self.omega[-1]
-            P[unknown], radius = 0, np.where(unknown, self.beyond, radius)
+            radius = np.where(samples.outside(omega), 0, samples.radius_at(omega))
         return P, radius
 
     @property
@@ -92,15 +78,10 @@ class Response:
         return float(size if self.radius is None else size + self.radius[-1])
 
     @cached_property
-    def axis(self):
-        """Of omega and log omega that over which samples are interpolated."""
-        return axis_of(self.omega, self.P[0])
-
-    @cached_property
-    def missed(self) -> np.ndarray:
-        """What splines miss of each plant at its samples, beyond the radius, (p, n)."""
-        of_all = np.array([missed(self.axis(self.omega), P) for P in self.P])
-        return np.maximum(of_all - (0 if self.radius is None else self.radius), 0)
+    def samples(self) -> list[Samples]:
+        """Of each plant."""
+        radius = np.zeros(len(self.omega)) if self.radius is None else self.radius
+        return [Samples(self.omega, P, radius) for P in self.P]
 
     @property
     def assumed(self) -> tuple[str, ...]:
@@ -118,29 +99,6 @@ class Response:
         if self.radius is not None:
             between.append("the radius is interpolated by straight lines")
         if between:
-            axis = "log omega" if self.axis is np.log else "omega"
+            axis = "log omega" if self.samples[0].axis is np.log else "omega"
             texts.append(f"assumed: between omega, {' and '.join(between)}, over {axis}")
         return tuple(texts)
-
-
-def axis_of(omega, P):
-    """That of omega and log omega over which splines predict every other sample better."""
-    if omega[0] <= 0 or len(omega) < FEWEST:
-        return np.asarray
-    return min(np.asarray, np.log, key=lambda axis: missed(axis(omega), P).max())
-
-
-def missed(x, P) -> np.ndarray:
-    """sigma_max(P - S), S the spline of every other sample over x: at each sample, (n,).
-
-    At the ends that of the next one; of P itself with fewer than four samples.
-    """
-    sizes = largest_singular_values(P)
-    if len(x) < FEWEST:
-        return sizes
-    for first in (1, 2):  # between the two at the ends
-        out = np.arange(first, len(x) - 1, 2)
-        S = CubicSpline(np.delete(x, out), np.delete(P, out, axis=0))(x[out])
-        sizes[out] = largest_singular_values(P[out] - S)
-    sizes[[0, -1]] = sizes[[1, -2]]
-    return sizes

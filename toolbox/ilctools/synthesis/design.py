@@ -114,7 +114,8 @@ def synthesise(
     uncertainty : array_like, shape (n,), or float, optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact. One number is relative to
-        sigma_max(P) of the first plant at each frequency: 0.05 is 5 %.
+        sigma_max(P) of the first plant at each frequency: 0.05 is 5 %. Without it samples count as
+        exact, noise and all: what is promised holds for them, not for the plant.
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
         without a radius by a grid that proves it, on which they are lower by 1e-5; else from the
@@ -147,10 +148,9 @@ def synthesise(
     Warns
     -----
     UserWarning
-        For each of the certificate's `warnings`: samples that scatter as noise does (of samples
-        without noise, one in 1000 sets), bounds passed between the frequencies by a quarter of
-        1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to one
-        there, a filter that leaves nearly all of the error, a Q that no filter can make up for
+        For each of the certificate's `warnings`: bounds passed between the frequencies by a quarter
+        of 1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to
+        one there, a filter that leaves nearly all of the error, a Q that no filter can make up for
         where P is not known.
 
     Raises
@@ -214,7 +214,7 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
     if Q.cutoff == lowest:
         warnings.warn(
             f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
-            "differ: record longer or larger moves, or pass measured_response the gain at rest",
+            "differ: record longer or larger moves",
             stacklevel=4,
         )
     problem = replace(design.problem, chosen=(text, *design.problem.chosen))

@@ -1,7 +1,5 @@
 """What an estimate says: its region, its model, its picture, and whether a log contradicts it."""
 
-import re
-
 import control
 import numpy as np
 import pandas as pd
@@ -12,9 +10,7 @@ from test_record import LAG, error, log_of, moved
 
 from ilctools import measured_response
 from ilctools.measurement import estimation
-from ilctools.measurement.realisation import model_within
-from ilctools.models import frequency_response, impulse_response
-from ilctools.singular_values import largest_singular_values
+from ilctools.models import frequency_response
 
 SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
 PLANTS = {  # a model, samples and for how many of them the input is held
@@ -30,12 +26,10 @@ def test_the_region_holds_and_a_model_is_in_it(name):
     estimate = measured_response(moved(make(), N, held=held))
     radius, known = estimate.radius(0.99, jointly=True), estimate.known
     assert np.all(error(estimate, make()) <= radius) and known.mean() > 0.5
-    estimate.__dict__["known"] = estimate.omega < estimate.omega[60]  # of no account
     model = estimate.model()
     assert np.all(error(estimate, model) <= radius)
     assert (model.dt, model.input_labels) == (make().dt, estimate.record.inputs)
-    order, *delays = map(int, re.findall(r"\d+", model.name))
-    assert model.nstates == order + sum(delays)
+    assert make().nstates <= model.nstates <= make().nstates + 1
 
 
 @pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4, 1e-2])
@@ -63,9 +57,7 @@ def test_another_log_contradicts_or_does_not():
     estimate = measured_response(moved(LAG, 300))
     for start in (0.0, 2.0):
         log = moved(LAG, 300, seed=1)
-        begun = log.assign(y=log.y + start * 0.9 ** np.arange(300)[:, None])
-        same, noise = estimate.check(begun), 0.02 * (log.y.std() / begun.y.std()).item()
-        assert same.fit.item() == pytest.approx(1 - noise, abs=2e-3)
+        same = estimate.check(log.assign(y=log.y + start * 0.9 ** np.arange(300)[:, None]))
         assert not same.contradicts and same.by == 0
     twice = estimate.check(moved(2 * LAG, 100, seed=2))
     assert twice.contradicts and twice.by == pytest.approx(1.0, abs=0.2)
@@ -88,7 +80,7 @@ def edges(band):
 
 
 def test_any_measured_response_draws_itself_and_goes_to_python_control():
-    """The band contains the truth, and has the width that was given; some entries are zero."""
+    """The band is as wide as was given; some entries are zero."""
     plant, omega = control.append(LAG, 2 * LAG), np.geomspace(1e-2, 1.5, 30)
     table = control.frd(plant, omega, smooth=False)
     measured = measured_response(table, uncertainty=np.full(30, 0.05))
@@ -96,23 +88,11 @@ def test_any_measured_response_draws_itself_and_goes_to_python_control():
     np.testing.assert_allclose(np.moveaxis(measured.frd().frdata, -1, 0), truth, rtol=1e-12)
     assert measured.frd().dt == plant.dt
     figure = measured.plot()
-    axes = np.array(figure.axes).reshape(-1, 2, 2)
-    for i in range(2):
-        of_gain, of_phase = (edges(ax.collections[0]) for ax in axes[i, :, i])
-        size = np.abs(truth[:, i, i])
-        assert np.all((of_gain["min"] <= size + 1e-9) & (size <= of_gain["max"] + 1e-9))
-        turned = np.degrees(np.angle(truth[:, i, i])) - of_phase.mean(axis=1)
-        assert np.all(np.abs((turned + 180) % 360 - 180) <= np.ptp(of_phase, axis=1) / 2 + 1e-9)
-        np.testing.assert_allclose(of_gain["max"], size + 0.05)
+    gains, phases = np.array(figure.axes).reshape(2, 4)  # a column each: 00, 01, 10, 11
+    for k, (i, j) in enumerate(np.ndindex(2, 2)):
+        band, size = edges(gains[k].collections[0]), np.abs(truth[:, i, j])
+        np.testing.assert_allclose(band["max"], size + 0.05)
+        np.testing.assert_allclose(band["min"], np.maximum(size - 0.05, size / 10))
+        _, turned = phases[k].lines[0].get_data()
+        np.testing.assert_allclose(np.exp(1j * np.radians(turned)) * size, truth[:, i, j])
     figure.canvas.draw()
-
-
-def test_a_model_of_a_model_is_the_model():
-    plant, angles = tanks()[:, 1:], np.geomspace(1e-3, np.pi, 100)
-    P, g = frequency_response(plant, angles / 2), np.moveaxis(impulse_response(plant, 900), 0, 2)
-    model = model_within(1e-6 + 0 * angles, P, angles, g, True)
-    assert model.nstates == 3
-    off = frequency_response(control.ss(model, dt=1.0), angles) - P
-    assert largest_singular_values(off).max() < 1e-6
-    noise = P + np.random.default_rng(0).standard_normal(P.shape)
-    assert model_within(1e-6 + 0 * angles, noise, angles, g, True) is None

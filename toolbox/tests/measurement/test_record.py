@@ -7,6 +7,10 @@ import xarray as xr
 from plants import furnace
 
 from ilctools import measured_response
+from ilctools.errors import LogError
+from ilctools.measurement import estimation
+from ilctools.measurement.record import Record
+from ilctools.measurement.regression import regression
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
 
@@ -62,24 +66,27 @@ def test_disturbances_of_several_logs_have_one_unit():
     assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True))
 
 
-def test_a_known_delay_is_less_to_estimate():
+def test_a_known_delay_is_less_to_estimate(monkeypatch):
     plant = control.ss(furnace(60))
     log = moved(plant, 400)
     late, searched = measured_response(log, delay=61), measured_response(log)
     assert np.all(error(late, plant) <= late.radius(0.99, jointly=True))
     assert np.median(late.radius() / searched.radius()) < 1  # which is a few samples short
-    assert late.model().nstates == 1 + 60
+    model = late.model()  # a delay is states
+    assert model.nstates == 1 + 60 and np.all(error(late, model) <= late.radius(0.99, jointly=True))
+    monkeypatch.setattr(estimation, "ROWS", 50)
+    with pytest.raises(LogError, match="no model of up to 50 states"):
+        late.model()
     for delay in (-1, 0.5, [1, 2]):
         with pytest.raises(ValueError, match="delay"):
             measured_response(log, delay=delay)
 
 
-def test_a_known_gain_at_rest_makes_low_frequencies_certain():
+def test_a_gain_of_one_at_rest_makes_low_frequencies_certain():
+    """From w of a loop whose observer integrates: P(0) = I, not of one that is not known to."""
     plant = control.ss(control.tf([0.02], [1, -0.98], 1.0))
-    log = moved(plant, 300, noise=0.1)
-    known, free = measured_response(log, gain=[[1.0]]), measured_response(log)
-    near_rest = [estimate.on([1e-4])[1].item() for estimate in (known, free)]
-    assert near_rest[0] < 0.2 * near_rest[1]
-    assert np.all(error(known, plant) <= known.radius(0.99, jointly=True))
-    with pytest.raises(ValueError, match="gain"):
-        measured_response(log, gain=[1.0, 2.0])
+    groups = Record.of(moved(plant, 300, noise=0.1)).groups
+    known, free = (regression(groups, False, gain=gain) for gain in ([1.0], None))
+    variances = [np.trace(fit.covariance(np.array([1e-4]))[0][0]) for fit in (known, free)]
+    assert variances[0] < 0.04 * variances[1]
+    assert abs(known.response(np.zeros(1)).item() - 1) < 1e-2

@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 from ilctools.measurement import regression as module
 from ilctools.measurement.regression import (
     Trials,
-    contrasts,
-    increments,
+    lagged,
     negative_log_posterior,
     records,
     regression,
@@ -58,21 +57,13 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
     eta = np.array([scale, scale, scale, scale, time, 0.0, 0.3])
     variance, slow = np.split(np.exp(layout.prior(eta)[0])[layout.kind == 1], [-2])
     np.testing.assert_allclose(slow, np.exp(0.3))
-    moves = increments(layout.knots[1])
+    lags = np.arange(layout.knots[1][-1] + 1)
+    moves = lagged(lags == 0, layout.knots[1]).T
     covariance = moves * variance @ moves.T
     lag = np.arange(len(covariance) - 7)
     kernel = np.exp(scale - np.maximum.outer(lag, lag) / np.exp(time))
     np.testing.assert_allclose(covariance[7:, 7:], kernel, rtol=1e-9)
     assert not covariance[:7].any()
-
-
-def test_contrasts_keep_independent_noise_and_take_what_repeats_into_one():
-    rng = np.random.default_rng(0)
-    signal = np.concatenate([np.zeros((5, 1)), rng.standard_normal((5, 30))], axis=1)
-    apart = contrasts(signal)
-    np.testing.assert_allclose(apart.T @ apart, signal.T @ signal, atol=1e-12)
-    again = contrasts(signal + np.arange(31.0))
-    np.testing.assert_allclose(again[1:], apart[1:], atol=1e-12)
 
 
 def test_regressors_impulse_and_frequency_response_are_those_of_one_model():

@@ -29,8 +29,8 @@ def test_between_the_samples_are_splines_and_the_radius_by_straight_lines(loop):
 def test_what_the_radius_covers_counts_once(loop):
     omega = np.geomspace(1e-4, np.pi, 20)
     P, bent = loop.frequency_response(omega), np.linspace(0, 1, 20) ** 4
-    alone = response_of(P, omega, 1.0).missed
-    for radius in (bent, 0.1 * alone[0]):
-        missed = response_of(P, omega, 1.0, radius).missed
+    alone = response_of(P, omega, 1.0).samples[0].missed
+    for radius in (bent, 0.1 * alone):
+        missed = response_of(P, omega, 1.0, radius).samples[0].missed
         np.testing.assert_allclose(missed, np.maximum(alone - radius, 0), atol=1e-15)
     assert missed.max() > 0

@@ -70,7 +70,7 @@ def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
 @pytest.mark.parametrize(("loop", "model", "noise"), [(NAMED, UNNAMED, 0.001), (KNOWN, P, 0.0)])
 def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, model, noise):
     """Without noise rounding is no sign of a loop that is not linear."""
-    excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 6)
+    excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 20)
     measured = measured_response(shake(RestartingModel(model, noise=noise), loop, excitation))
     assert not measured.beyond_noise
     omega = np.append([0.0, 0.1, 1.0], measured.omega)

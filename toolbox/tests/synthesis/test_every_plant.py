@@ -78,7 +78,7 @@ def reached(M, L, rho):
 
 def judged(design, plants, truth, Q, omega, radius, said):
     """The worst sigma_max of M and L on a dense grid; of M, where it is near what is said."""
-    axis, first, last = design.problem.response.axis, omega[0], omega[-1]
+    axis, first, last = design.problem.response.samples[0].axis, omega[0], omega[-1]
     dense = np.concatenate(
         [np.linspace(0, np.pi, POINTS // 2), np.geomspace(first, last, POINTS // 2)]
     )
