@@ -139,6 +139,7 @@ def test_several_records_tell_more_than_one():
         ("three trials saturate", "large inputs|trial 1"),
         ("quadratic", "large inputs"),
         ("gain drifts by 20 %", "the course of trial 1"),
+        ("backlash", "moves up and down"),
     ],
 )
 def test_what_is_not_one_linear_plant_is_said(kind, words):

@@ -12,6 +12,8 @@ other:
 
 - of one trial only, or times the time in a single trial, the simulated output and its slope:
   another gain, another delay;
+- the sign of the last move of each input, as the plant passes it on: of an input through backlash,
+  u less half the gap times this sign comes out;
 - squares and cubes of the inputs, likewise, and of the simulated output: a curve, a dead zone.
 
 What one gain more of each input explains is taken off beforehand: the prior makes gains too small,
@@ -41,6 +43,7 @@ SEEN = 0.02  # of P: what is smaller is not said
 # they do not have where u(t) explains EXACT times the power that is left.
 WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
 CURVED = "the response to large inputs differs from that to small ones"
+PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
     "u follows y, as in a loop whose reference is not in the log: what is estimated may be -1/C "
     "of its controller. Add the reference, or record with the loop open"
@@ -56,7 +59,7 @@ def contradictions(
     """
     m, parts = groups[0].u.shape[2], [name for group in groups for name in _parts(group)]
     # the columns of each
-    gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {CURVED: 2 * m + 2}
+    gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
     q, J, power = _score(fit, groups, _columns(fit, groups, len(parts)))
     last, n, level = m, fit.data.count.sum(), FALSE_ALARM / len(sets)
     for name, k in sets.items():
@@ -107,7 +110,8 @@ def _columns(fit, groups, parts):
         y = _through(g, u).sum(axis=2, keepdims=True)
         own = _gain_and_delay(y) * (np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0)
         own, *shared = (
-            _through(fit.denominator[:, None], z - z[:, :1]) for z in (own, _curve(g, u, y))
+            _through(fit.denominator[:, None], z - z[:, :1])
+            for z in (own, _through(g, _last_move(u)), _curve(g, u, y))
         )
         shared = contrasts(np.concatenate(shared, axis=2))
         of_parts = np.zeros((N, parts, 2))
@@ -130,6 +134,15 @@ def _gain_and_delay(y):
 def _curve(g, u, y):
     """A curve or dead zone before the plant, or behind it: squares and cubes."""
     return np.concatenate([_through(g, u**2), _through(g, u**3), y**2, y**3], axis=2)
+
+
+def _last_move(u):
+    """Backlash: the sign of the last move, less that at the beginning, opposite to the first."""
+    moves = np.sign(np.diff(u, axis=1, prepend=0))
+    first = np.argmax(moves != 0, axis=1)[:, None]
+    moves[:, :1] = -np.take_along_axis(moves, first, 1)
+    last = np.maximum.accumulate(np.where(moves, np.arange(u.shape[1])[:, None], 0), axis=1)
+    return np.take_along_axis(moves, last, 1) - moves[:, :1]
 
 
 def _at_once(fit, level):

@@ -91,7 +91,6 @@ def measured_response(
     with a weak mode below the noise, may lie outside more often, and so may a slow one at low
     frequencies, most if trials under learning have converged: record the first ones. See
     :mod:`ilctools.measurement.estimation` for the radius.
-    Beware of backlash: the radius does not contain it, and hardly any record shows it.
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
     only, and else on u(t), too.

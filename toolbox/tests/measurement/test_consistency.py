@@ -6,7 +6,7 @@ from problems import memory
 from scipy.signal import lfilter
 
 from ilctools.measurement import consistency as module
-from ilctools.measurement.consistency import CURVED, FOLLOWS, contradictions
+from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
 from ilctools.measurement.regression import Trials, records, regression
 
 
@@ -48,7 +48,7 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
 
 @pytest.mark.parametrize("held", [1, 12])
 def test_two_levels_are_not_curved(held):
-    """Squares and cubes of two levels are lines.
+    """Squares and cubes of two levels are lines, and so is the sign of the last move.
 
     Three draws; a hundred of each kind are counted by ``make measure WHAT=regions``.
     """
@@ -58,10 +58,14 @@ def test_two_levels_are_not_curved(held):
         assert not said(trials(u, lagged(u, rng)), False)
 
 
-def test_a_dead_zone_is_said():
+def test_a_dead_zone_and_backlash_are_said():
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        u = np.repeat(rng.standard_normal((1, 40)), 10, axis=1)
+        u, x = np.repeat(rng.standard_normal((1, 40)), 10, axis=1), 0.0
+        behind = np.zeros((1, 400))
+        for t, ahead in enumerate(u[0]):
+            behind[0, t] = x = np.clip(x, ahead - 0.15, ahead + 0.15)
+        assert PLAY in said(trials(u, lagged(behind, rng)))
         assert CURVED in said(trials(u, lagged(u - np.clip(u, -0.3, 0.3), rng)))
 
 
