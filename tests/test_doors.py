@@ -14,7 +14,6 @@ import xarray as xr
 
 import ilctools
 import rodlib
-from ilctools import alternatives
 from rodlib import Rod, approximations
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
@@ -51,12 +50,11 @@ WRONG = {
     name: values
     for values, names in (
         ([*POSITIVE[:3]], "sensor_psd"),
-        (["1", np.nan, [1.0]], "slope"),
         (MODEL, "P plant system"),
-        (POSITIVE, "Ts cutoff conductivity density M_max L_max weight gain step"),
+        (POSITIVE, "Ts cutoff conductivity density M_max L_max weight gain"),
         (POSITIVE, "share lowest highest amplitude hours lag"),
         (WHOLE, "degree states elements cells modes order samples trials sections"),
-        (WHOLE, "number root ahead channels lines seed rest"),
+        (WHOLE, "number root channels lines seed rest"),
         ([1.5, "1"], "first"),
         (ARRAY, "omega s signal v e reference coefficients gains heat_flows weights"),
         (ARRAY, "sensors deviations heaters readings"),
@@ -82,8 +80,8 @@ RIGHT = {
     "readings": READINGS, "P": P, "Q": Q, "L": L, "law": LAW, "loop": LOOP,
     "plant": PLANT, "system": PLANT, "controls": ["u"], "weights": [1.0], "order": 2,
     "cutoff": 0.1, "ends": "hold", "signal": SIGNAL, "v": SIGNAL, "reference": SIGNAL,
-    "coefficients": L.coefficients, "rest": 1, "gain": 0.5, "slope": 0.0, "ahead": 1,
-    "channels": 1, "step": 0.1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
+    "coefficients": L.coefficients, "rest": 1, "gain": 0.5,
+    "channels": 1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
     "structure": "full", "e": xr.DataArray(SIGNAL, dims=("time", "channel")),
     "sensor_psd": 1.0, "new": NOISE, "problem": DESIGN.problem,
     "rig": RIG, "excitation": EXCITATION,
@@ -115,7 +113,7 @@ FURTHER = {
 }
 
 # Tested with their own files, or not called by themselves.
-TESTED = """InfeasibleError MISMATCHED Rig TemperatureControlLab alternatives errors
+TESTED = """InfeasibleError MISMATCHED Rig TemperatureControlLab errors
     approximations heat_balance open_workbench plot paper_choices
     state_sequence try_out"""
 ELSEWHERE = {*TESTED.split()}
@@ -162,9 +160,6 @@ DOORS = [
     approximations.finite_elements,
     approximations.finite_volumes,
     approximations.modal_series,
-    alternatives.pd_type,
-    alternatives.gradient,
-    alternatives.extent,
     rodlib.Spread.of_all,
     SPREAD.specimen,
     RIG.apply,
