@@ -106,9 +106,3 @@ def _animate(figure, path, moves):
     timing = {"duration": 1000 * SECONDS // FRAMES, "loop": 0, "lossless": True, "method": 4}
     with replacing(path) as temporary:
         frames[0].save(temporary, "webp", save_all=True, append_images=frames[1:], **timing)
-
-
-def plain(name: str) -> str:
-    """A name from outside, as a label shows it to the letter: no formula, and not left out."""
-    shown = name.replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown
