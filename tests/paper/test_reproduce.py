@@ -26,7 +26,6 @@ def root(tmp_path, monkeypatch):
     folder.mkdir()
     (folder / "pyproject.toml").write_text('name = "rodlib"\n')
     (folder / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
-    shutil.copy(ROOT / "codecheck.yml", folder)
     (folder / "notebooks").mkdir()
     with monkeypatch.context() as patch:
         patch.setenv("RODLIB_RESULTS", str(folder / "made"))
@@ -118,7 +117,7 @@ def test_a_second_run_is_refused_and_after_a_kill_results_are_published(root, ga
     assert outcome.returncode == 0
     of_the_killed = r"\[IPKernelApp\] WARNING \| Parent appears to have exited, shutting down.\n"
     assert re.fullmatch(f"({of_the_killed})?", outcome.stderr)
-    assert "01-model ... done, " in outcome.stdout
+    assert "01-model ... done" in outcome.stdout
     changed = "figures/fig01.png, figures/ledger.csv, figures/ledger.md, README.md"
     assert outcome.stdout.splitlines()[-1] == f"different: {changed}"
     assert (root / "figures" / "fig01.png").read_bytes() == b"picture"
