@@ -6,7 +6,6 @@ two differ in what time is, which is hidden here. The extra ``rodlib[tclab]`` in
 
 import random
 import time
-import warnings
 from dataclasses import dataclass
 
 import control
@@ -21,8 +20,6 @@ from ilctools.models import state_sequence
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
 UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
-VAGUE = 0.5  # relative standard error, from which on a parameter counts as not determined
-FAR = np.array([7.0] * 5 + [100.0] * 2)  # from the start: logarithms of parameters, K
 
 
 class TemperatureControlLab:
@@ -186,6 +183,8 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     on both sides, and the better end counts. The covariance is s^2 (J' J)^-1, with s^2 for the
     variance of what is left and J for its slopes. That takes what is left for white noise. If it is
     not, because the model leaves something that lasts, the intervals are too short: look at `left`.
+    What the record does not determine, such as the gain of a heater that never moves, has an
+    interval of many decades.
 
     Parameters
     ----------
@@ -193,11 +192,6 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest.
     Ts : float
         Sampling period, s.
-
-    Warns
-    -----
-    UserWarning
-        If the record does not determine a parameter: a heater that never moves, one step alone.
 
     See Also
     --------
@@ -226,26 +220,28 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         T = state_sequence(board.A, heaters @ board.B.T, np.zeros(4)) @ board.C.T  # from rest
         return (above - unknowns[5:] - T).ravel()
 
-    swing = (np.ptp(above) or 1.0) / (np.ptp(heaters) or 1.0)  # K per %
-    long, short = Ts * len(heaters) / np.array([3, 30])
-    fits = []
-    for cooling, lag in ((long, short), (short, long)):
-        start = np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag])
-        start = np.append(start, [0.0, 0.0])
-        # tolerances so small that the start does not show
-        options = {"bounds": (start - FAR, start + FAR), "ftol": 1e-12, "xtol": 1e-10}
-        fits.append(least_squares(residual, start, x_scale="jac", **options))
+    # tolerances so small that the start does not show
+    options = {"x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
+    fits = [
+        least_squares(residual, start, bounds=(start - 7, start + 7), **options)
+        for start in _starts(np.ptp(above) / np.ptp(heaters), Ts * len(heaters))
+    ]
     best = min(fits, key=lambda fit: fit.cost)
-    variance = 2 * best.cost / (readings.size - len(FAR))
-    # what moves nothing has no slope, and a variance without end
-    slopes = best.jac.T @ best.jac + 1e-30 * np.eye(len(FAR))
-    covariance = variance * np.linalg.inv(slopes)[:5, :5]
-    vague = [n for n, v in zip(UNITS, np.diag(covariance), strict=True) if v > VAGUE**2]
-    if vague:
-        warnings.warn(
-            f"the record does not determine {', '.join(vague)}: move each heater, independently, "
-            "up and down",
-            stacklevel=2,
-        )
     zero, left = readings[0] + best.x[5:], best.fun.reshape(-1, 2)
-    return HeatBalanceFit(np.exp(best.x[:5]), covariance, zero, left)
+    return HeatBalanceFit(np.exp(best.x[:5]), _covariance(best)[:5, :5], zero, left)
+
+
+def _starts(swing, record):
+    """Slow heaters with quick thermometers, and the reverse; K per % and s of the record.
+
+    What is searched, logarithms and K, is within three decades and 7 K of them.
+    """
+    for cooling, lag in ((record / 3, record / 30), (record / 30, record / 3)):
+        gain = 2 * swing / cooling
+        yield np.log([gain, gain, 1 / cooling, 0.3 / cooling, lag, 1, 1])
+
+
+def _covariance(fit):
+    """s^2 (J' J)^-1; what moves nothing has no slope, and a variance without end."""
+    J, freedom = fit.jac, fit.fun.size - fit.x.size
+    return 2 * fit.cost / freedom * np.linalg.inv(J.T @ J + 1e-30 * np.eye(fit.x.size))

@@ -5,9 +5,11 @@
 """
 
 import warnings
+from functools import partial
 
 import numpy as np
 import xarray as xr
+from cycler import cycler
 from matplotlib import style
 from matplotlib.figure import Figure
 
@@ -19,18 +21,12 @@ from rodlib.paper.figures import ACCENT, SHADES
 
 FREQUENCIES = 200  # of the design; the paper's 1000 would take longer than one waits for a picture
 TRIALS, REST = 10, 15  # the latter: samples at the end of a trial in which v is zero
-STYLE = ["rodlib.paper.style", {"axes.autolimit_mode": "round_numbers"}]
+LOOK = {"axes.autolimit_mode": "round_numbers", "axes.prop_cycle": cycler(color=SHADES)}
 BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
 
 
 def try_out(
-    loop,
-    reference,
-    disturbance=None,
-    *,
-    cutoff,
-    noise=0.0,
-    **choices,
+    loop, reference, disturbance=None, *, cutoff, noise=0.0, **choices
 ) -> tuple[Synthesis, xr.Dataset]:
     """Design a filter for a loop with a model P, and simulate ten trials with it.
 
@@ -115,8 +111,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
 
     def show(**knobs):
         try:
-            with warnings.catch_warnings(action="always"):  # of the trials
-                design, trials = try_out(loop, reference, disturbance, **choices | knobs)
+            design, trials = try_out(loop, reference, disturbance, **choices | knobs)
         except (ValueError, ArithmeticError, RuntimeError) as error:
             print(error)
             return None
@@ -128,23 +123,23 @@ def open_workbench(loop, reference, disturbance=None, **choices):
     Q = zero_phase_butterworth(2, start["cutoff"], loop.Ts)
     start = {"L_max": pose(loop, Q).L_max, "structure": "diagonal"} | start
     gain, cutoff, noise = start["L_max"], start["cutoff"], np.abs(reference).max() / 10
+    real = partial(FloatSlider, readout_format=".3g")
     ranges = {  # kind of slider; least, most, step
-        "M_max": (FloatSlider, 0.05, 0.999, 0.001),
-        "L_max": (FloatSlider, gain / 50, 4 * gain, gain / 50),
-        "cutoff": (FloatSlider, cutoff / 50, 4 * cutoff, cutoff / 50),
+        "M_max": (real, 0.05, 0.999, 0.001),
+        "L_max": (real, gain / 50, 4 * gain, gain / 50),
+        "cutoff": (real, cutoff / 50, 4 * cutoff, cutoff / 50),
         "order": (IntSlider, 1, 2 * start["order"], 1),
-        "noise": (FloatSlider, 0, noise, noise / 100),
+        "noise": (real, 0, noise, noise / 100),
     }
-    look = {"continuous_update": False, "readout_format": ".3g"}  # they act when they are let go
     knobs = {
-        name: kind(value=start[name], min=least, max=most, step=step, **look)
+        name: kind(value=start[name], min=least, max=most, step=step, continuous_update=False)
         for name, (kind, least, most, step) in ranges.items()
-    }
+    }  # they act when they are let go
     knobs["structure"] = Dropdown(options=["diagonal", "full"], value=start["structure"])
     return interactive(show, **knobs)
 
 
-@style.context(STYLE)
+@style.context(["rodlib.paper.style", LOOK])
 def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
     """Draw a design of (39) as one would first look at it, with trials of its law.
 
@@ -176,16 +171,17 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
     figure = Figure((7.6, 5.2), dpi=100, layout="none")  # inches; to find a layout takes long
     (rate, errors), (gain, lags) = figure.subplots(2, 2)
     figure.subplots_adjust(0.07, 0.09, 0.985, 0.94, wspace=0.2, hspace=0.45)
-    problem = design.problem
-    for axes, sigma, bound, title in (
-        (rate, design.sigma_M, problem.M_max, r"rate $\bar\sigma(M)$, its bound, its mean in the band"),
-        (gain, design.sigma_L, problem.L_max, r"gain $\bar\sigma(L)$, its bound"),
-    ):
-        axes.semilogx(design.omega, sigma, color="black")
-        axes.axhline(bound, **BOUND)
-        axes.set(xlabel="frequency (rad/s)", xlim=design.omega[[0, -1]], ylim=(0, None), title=title)
-    rate.plot(problem.objective.band, [design.certificate.mean_M] * 2, color="black", linestyle=":")
-    errors.semilogy(trials.trial, rms(trials), "o-", markersize=4, color="black")
+    problem, omega, mean = design.problem, design.omega, design.certificate.mean_M
+    rate.plot(omega, design.sigma_M)
+    rate.plot(problem.objective.band, [mean, mean], color="black", linestyle=":")
+    rate.axhline(problem.M_max, **BOUND)
+    gain.plot(omega, design.sigma_L)
+    gain.axhline(problem.L_max, **BOUND)
+    for axes in (rate, gain):
+        axes.set(xscale="log", xlabel="frequency (rad/s)", xlim=omega[[0, -1]], ylim=(0, None))
+    rate.set_title(r"rate $\bar\sigma(M)$, its bound, its mean in the band")
+    gain.set_title(r"gain $\bar\sigma(L)$, its bound")
+    errors.semilogy(trials.trial, rms(trials), "o-", markersize=4)
     title = with_unit("RMS of the error", ", ".join(dict.fromkeys(trials.output_unit.values)))
     errors.set(title=f"{title}, simulated", xlabel="trial", xticks=trials.trial)
     _draw_coefficients(lags, design.filter.coefficients)
@@ -197,7 +193,6 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
 def _draw_coefficients(axes, coefficients):
     """A line for each entry of the filter that is not zero."""
     m, _, order = coefficients.shape
-    axes.set_prop_cycle(color=SHADES)
     for i, j in np.ndindex(m, m):
         if coefficients[i, j].any():
             look, label = "o-" if i == j else "x:", f"$L_{{{i + 1}{j + 1}}}$"

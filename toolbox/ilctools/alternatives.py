@@ -1,7 +1,7 @@
 """Norm-optimal learning, for the same law (23), and what it shares with a base of filters.
 
-It is a :class:`ilctools.filters.LearningOperator`, as a :class:`ilctools.LearningFilter` is: it goes
-where L goes.
+It is a :class:`ilctools.filters.LearningOperator`, as a :class:`ilctools.LearningFilter` is: it
+goes where L goes.
 """
 
 from dataclasses import dataclass
