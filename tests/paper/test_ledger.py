@@ -97,17 +97,6 @@ def test_as_many_digits_are_shown_as_are_printed(key, computed, shown, deviation
     assert (row["computed"], row["deviation"]) == (shown, deviation)
 
 
-@given(st.sampled_from(sorted(published.claims())), st.floats(allow_nan=False))
-def test_the_verdict_follows_from_what_is_shown(key, computed):
-    entry = published.claims()[key]
-    book = Ledger("test")
-    book.record(key, computed)
-    row = book.rows[key]
-    judged = row["verdict"] not in (UNCHECKED, IN_WORDS)
-    if judged and not row["computed"].startswith("below"):
-        assert verdict(entry, float(row["computed"]))[0] == row["verdict"]
-
-
 def test_matrices_keep_their_order():
     book = Ledger("test")
     for name in published.MATRICES:
@@ -191,12 +180,7 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     assert not results.main(root / "build", root)
     part.write_text(rows.replace(computed, "1000000000.0002"))
     assert results.main(root / "build", root)
-    moved = rows.replace(computed, "1000000000.0001").replace(f",{DIFFERS},", f",{REPRODUCED},")
-    part.write_text(moved)  # with another verdict the number beside it is the new one
-    publish(root, capsys)
-    assert "1000000000.0001" in (root / "figures" / "ledger.csv").read_text()
     part.write_text(rows)
-    publish(root, capsys)
     (root / "figures" / "ledger.md").write_text("other")
     assert results.main(root / "build", root)
     assert publish(root, capsys) == "different: figures/ledger.md"
