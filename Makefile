@@ -20,7 +20,7 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest newest measure pages bench \
+.PHONY: $(BIN)/ready help reproduce test lint data machines mutants lowest newest measure pages bench \
 	lab notebooks stubs lock clean
 
 help:  ## list the targets
@@ -39,14 +39,6 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks; how much there is t
 
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 	$(BIN)/python -m rodlib.paper.rig_logs
-
-# The path as it is: the shell gets the text of a variable, and make, which expands what it exports,
-# does not export LOG itself.
-unexport LOG
-replay: export NAMED = $(value LOG)
-replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
-	@test -n "$$NAMED" || { echo "name a log: make replay LOG=path"; exit 2; }
-	@$(BIN)/python -m rodlib.paper.reproduce "$$NAMED"
 
 machines: $(BIN)/ready  ## make test with rounding varied, as on other processors: make machines SEED=2
 	$(BIN)/python tools/machines.py $(SEED)

@@ -1,4 +1,4 @@
-"""For how many rods does learning converge? 1000 rods, ten draws, laws of notebook 9 and two more.
+"""For how many rods does learning converge? 1000 rods, ten draws, laws of notebook 9 and one more.
 
 `make measure WHAT=study` judges them on rods whose parameters are off by up to 20 %, with their
 sensors in place, or off as well by up to 2 or 8 mm. The table, shares from the least to the most of
@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from runner import publish, run, table
 
-from ilctools import NormOptimal, alternatives, convergence, synthesise
+from ilctools import NormOptimal, convergence, synthesise
 from ilctools.filters import LearningFilter, zero_phase_butterworth
 from rodlib import Spread, assumed_reference, draw, paper_choices, paper_loop, responses
 from rodlib.paper import published
@@ -50,7 +50,6 @@ def laws():
         "(39), lower cut-off": (LOWER, lower.filter),
         "for the drawn rods": (LOWER, robust.filter),
         "norm-optimal": (Q, NormOptimal(LOOP.P, 0.1, len(assumed_reference()))),
-        "gradient": (Q, alternatives.gradient(LOOP.P, 1.0)),
         "(39), 60 ahead, L_max = 5": (Q, far.filter),
     }
 

@@ -11,7 +11,7 @@ from ilctools import lazily
 __version__ = "0.1.0"  # as in pyproject.toml
 
 MODULES = {
-    "rod": "Rod exact_response midr",
+    "rod": "Rod exact_response finite_volumes midr",
     "held": "sampled_response",
     "case": "assumed_disturbance assumed_reference paper_choices paper_loop",
     "rigs": "MISMATCHED RestartingRig RigParameters VirtualRig",
@@ -21,4 +21,4 @@ MODULES = {
     "workbench": "open_workbench plot try_out",
 }
 
-__getattr__, __dir__, __all__ = lazily(__name__, MODULES, ["approximations"])
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)

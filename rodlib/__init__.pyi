@@ -1,6 +1,5 @@
 # From the registry in __init__.py, by `make stubs`.
 
-from rodlib import approximations as approximations
 from rodlib.boards import TemperatureControlLab as TemperatureControlLab
 from rodlib.boards import fit_heat_balance as fit_heat_balance
 from rodlib.boards import heat_balance as heat_balance
@@ -18,6 +17,7 @@ from rodlib.rigs import RigParameters as RigParameters
 from rodlib.rigs import VirtualRig as VirtualRig
 from rodlib.rod import Rod as Rod
 from rodlib.rod import exact_response as exact_response
+from rodlib.rod import finite_volumes as finite_volumes
 from rodlib.rod import midr as midr
 from rodlib.specimens import Specimen as Specimen
 from rodlib.specimens import Spread as Spread

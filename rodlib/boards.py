@@ -6,9 +6,7 @@ two differ in what time is, which is hidden here. The extra ``rodlib[tclab]`` in
 
 import random
 import time
-import warnings
 from dataclasses import dataclass
-from itertools import product
 
 import control
 import numpy as np
@@ -22,10 +20,8 @@ from ilctools.models import state_sequence
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
-UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
-# relative standard error, from which on a parameter counts as not determined
-VAGUE = 0.5
+UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
 
 
 class TemperatureControlLab:
@@ -170,55 +166,35 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 class HeatBalanceFit:
     """The parameters of :func:`heat_balance` from a record, and how well it determines them."""
 
-    # in the order of heat_balance; NaN for what moves nothing in the record
-    values: np.ndarray
+    values: np.ndarray  # in the order of heat_balance
     covariance: np.ndarray  # of their logarithms
     zero: np.ndarray  # readings at rest, as fitted, shape (2,)
     left: np.ndarray  # readings minus model, K, shape (samples, 2)
 
-    @property
-    def unknown(self) -> list[str]:
-        """Parameters that the record does not determine."""
-        return [n for n, e in zip(UNITS, self.standard_errors, strict=True) if not e < VAGUE]
-
-    @property
-    def standard_errors(self) -> np.ndarray:
-        """Relative standard errors of the parameters."""
-        return np.sqrt(np.diag(self.covariance))
-
     def table(self) -> pd.DataFrame:
         """Each parameter with its interval of 95 % and its unit."""
-        quantile = t.ppf(0.975, PARTS - 1)
-        width = np.exp(np.minimum(quantile * self.standard_errors, 500))
-        columns = {"value": self.values, "from": self.values / width}
-        columns |= {"to": self.values * width, "unit": UNITS.values()}
-        return pd.DataFrame(columns, list(UNITS))
+        errors = t.ppf(0.975, PARTS - 1) * np.sqrt(np.diag(self.covariance))
+        width = np.exp(np.minimum(errors, 500))
+        ends = {"value": self.values, "from": self.values / width, "to": self.values * width}
+        return pd.DataFrame(ends | {"unit": UNITS.values()}, list(UNITS))
 
 
 def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
-    """The heat balance nearest to a record in least squares, from several starts.
+    """Fit :func:`heat_balance` to a record that begins at rest, by least squares.
 
-    With the temperatures T(p) that :func:`heat_balance` gives for the parameters p, from rest,
-
-        minimise over log p and zero   sum_k |readings_k - zero - T_k(p)|^2 .
-
-    There is a second minimum where heater and thermometer exchange their times. Parameters are
-    positive, and times between Ts/10 and ten records. The intervals are of the jackknife: how much
-    changes if a sixth of the record is left out. They count noise of any colour and what the model
-    leaves, as far as it differs from one sixth to another.
+    There is a second minimum where heater and thermometer exchange their times: the search starts
+    on both sides, and the better end counts. The covariance is the jackknife's: how much changes,
+    by the slopes, if a sixth of the record is left out. That counts noise of any colour and what
+    the model leaves, as far as it differs from one sixth to another; of white noise alone, s^2
+    (J' J)^-1 would do. What the record does not determine, such as the gain of a heater that never
+    moves, has an interval of many decades.
 
     Parameters
     ----------
     heaters, readings : array, shape (samples, 2)
-        In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest. Some
-        thirty samples at least, or the intervals are of rounding.
+        In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest.
     Ts : float
         Sampling period, s.
-
-    Warns
-    -----
-    UserWarning
-        If the record does not determine a parameter: a heater that never moves, one step alone.
 
     See Also
     --------
@@ -240,51 +216,40 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     heaters = arguments.array("heaters", heaters, ("samples", 2))
     readings = arguments.array("readings", readings, (len(heaters), 2))
     Ts = arguments.sampling_period("Ts", Ts)
+    above = readings - readings[0]
 
-    def residual(unknowns):
-        log_p, zero = np.split(unknowns, [5])
-        board = heat_balance(*np.exp(log_p), Ts)
+    def residual(unknowns):  # logarithms of the parameters, and what the first readings are off by
+        board = heat_balance(*np.exp(unknowns[:5]), Ts)
         T = state_sequence(board.A, heaters @ board.B.T, np.zeros(4)) @ board.C.T  # from rest
-        return (readings - readings[0] - zero - T).ravel()
+        return (above - unknowns[5:] - T).ravel()
 
-    best = _least_squares(residual, heaters, readings, Ts)
-    idle = np.append(~heaters.any(axis=0), np.zeros(5, bool))  # of the gains: their slope is zero
-    covariance = _jackknife(np.where(idle, 0.0, best.jac), best.fun)
-    values, zero = np.exp(best.x), readings[0] + best.x[5:]
-    values[idle] = covariance[idle, idle] = np.nan
-    fit = HeatBalanceFit(values[:5], covariance[:5, :5], zero, best.fun.reshape(-1, 2))
-    if fit.unknown:
-        warnings.warn(
-            f"the record does not tell {', '.join(fit.unknown)}: without a sixth of it, they "
-            f"would change by more than half. Move each heater, independently, up and down",
-            stacklevel=2,
-        )
-    return fit
+    # tolerances so small that the start does not show
+    options = {"x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
+    fits = [
+        least_squares(residual, start, bounds=(start - 7, start + 7), **options)
+        for start in _starts(np.ptp(above) / np.ptp(heaters), Ts * len(heaters))
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    zero, left = readings[0] + best.x[5:], best.fun.reshape(-1, 2)
+    return HeatBalanceFit(np.exp(best.x[:5]), _covariance(best)[:5, :5], zero, left)
 
 
-def _least_squares(residual, heaters, readings, Ts):
-    """The best fit of four starts, which say how quickly heater and thermometer follow."""
-    heights, record = np.ptp(readings, axis=0), Ts * len(heaters)
-    swing = max(heights.max() / max(np.ptp(heaters), 1e-9), 1e-9)  # K per %
-    shortest, longest = Ts / 10, 10 * record
+def _starts(swing, record):
+    """Slow heaters with quick thermometers, and the reverse; K per % and s of the record.
 
-    def point(gain, loss, exchange, lag, zero):
-        return np.append(np.log([gain, gain, loss, exchange, lag]), zero * (heights + 1))
-
-    low = point(swing / longest, 1 / longest, 0.01 / longest, shortest, -1)
-    high = point(swing / Ts, 1 / shortest, 1 / shortest, longest, 1)
-    # Tolerances so small that the start does not show.
-    options = {"bounds": (low, high), "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
-    fits = []
-    for cooling, lag in product((record / 3, record / 30), repeat=2):
-        start = point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
-        fits.append(least_squares(residual, np.clip(start, low, high), **options))
-    return min(fits, key=lambda fit: fit.cost)
+    What is searched, logarithms and K, is within three decades and 7 K of them.
+    """
+    for cooling, lag in ((record / 3, record / 30), (record / 30, record / 3)):
+        gain = 2 * swing / cooling
+        yield np.log([gain, gain, 1 / cooling, 0.3 / cooling, lag, 1, 1])
 
 
-def _jackknife(slopes, residuals):
-    """Covariance of what a linear fit changes by when each part of the residuals is left out."""
-    left_out = np.array_split(np.arange(residuals.size), PARTS)
-    remains = [(np.delete(slopes, part, 0), np.delete(residuals, part)) for part in left_out]
-    changes = np.array([np.linalg.lstsq(A, b, rcond=1e-9)[0] for A, b in remains])
-    return (PARTS - 1) / PARTS * changes.T @ changes
+def _covariance(fit):
+    """The jackknife's; what moves nothing has no slope, and a variance without end."""
+    left_out = np.array_split(np.arange(fit.fun.size), PARTS)
+    remains = [(np.delete(fit.jac, part, 0), np.delete(fit.fun, part)) for part in left_out]
+    changes = np.array([np.linalg.lstsq(J, e, rcond=1e-9)[0] for J, e in remains])
+    covariance = (PARTS - 1) / PARTS * changes.T @ changes
+    still = ~fit.jac.any(axis=0)
+    covariance[still, still] = np.inf
+    return covariance

@@ -14,9 +14,8 @@ from scipy.constants import Stefan_Boltzmann
 from scipy.linalg import expm
 
 from ilctools import arguments
-from rodlib.approximations import finite_volumes
 from rodlib.rigs import MISMATCHED, Bench, Restarting
-from rodlib.rod import Rod
+from rodlib.rod import Rod, finite_volumes
 
 
 @dataclass(frozen=True)

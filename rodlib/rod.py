@@ -121,7 +121,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     See Also
     --------
     exact_response : without approximation
-    rodlib.approximations : other ways
+    finite_volumes : by cells
 
     Notes
     -----
@@ -186,6 +186,52 @@ def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     B = np.column_stack([means / norm[:, None], rod.kappa_2 * (n == 0)]) / rod.kappa_1
     s = -(rod.kappa_2 + rod.conductivity * waves**2) / rod.kappa_1
     return s, B, np.cos(np.outer(rod.sensors, waves))
+
+
+def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
+    """State-space model of the average temperatures of equal cells, and of the heat between them.
+
+    By Fourier's law (2) between the middles of two cells, whose distance is dz,
+
+        kappa_1 dx_i/dt = lambda (x_(i-1) - 2 x_i + x_(i+1)) / dz^2 + mu_i + kappa_2 (theta_a - x_i)
+
+    without a neighbour at the ends. Between the middles of two cells, sensors read the straight
+    line, beyond the outer ones the average. Heating makes no cell colder.
+
+    Parameters
+    ----------
+    rod : Rod
+    cells : int
+        Number of cells in each section, 1000 or fewer.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`midr`, with ``sections * cells`` states (K). The error falls with the square of
+        `cells`.
+
+    See Also
+    --------
+    midr : by polynomials
+    PeltierRig : what is made of them
+
+    Examples
+    --------
+    >>> from rodlib import Rod, finite_volumes
+    >>> finite_volumes(Rod(), cells=16).nstates
+    64
+    """
+    arguments.instance("rod", rod, Rod)
+    n = rod.sections * arguments.whole("cells", cells, 1, 1000)
+    dz, each = rod.length / n, np.eye(n)
+    slope = np.diff(each, axis=0) / dz  # from one cell to the next
+    A = -(rod.conductivity * slope.T @ slope + rod.kappa_2 * each) / rod.kappa_1
+    heated = np.repeat(np.eye(rod.sections), cells, axis=0) / cells  # (4)
+    heated /= rod.width * rod.height * dz
+    B = np.column_stack([heated, np.full(n, rod.kappa_2)]) / rod.kappa_1
+    middles = dz * (np.arange(n) + 0.5)
+    hats = [np.interp(rod.sensors, middles, cell) for cell in each]
+    return labelled(rod, A, B, np.transpose(hats))
 
 
 def labelled(rod: Rod, A, B, C) -> control.StateSpace:

@@ -13,33 +13,20 @@ from cycler import cycler
 from matplotlib import style
 from matplotlib.figure import Figure
 
-from ilctools import arguments, rms, run_trials, synthesise, zero_phase_butterworth
+from ilctools import rms, run_trials, synthesise, zero_phase_butterworth
 from ilctools.problem.pose import pose
 from ilctools.synthesis.result import Synthesis
 from ilctools.units import with_unit
 from rodlib.paper.figures import ACCENT, SHADES
 
 FREQUENCIES = 200  # of the design; the paper's 1000 would take longer than one waits for a picture
-LIVELY = 20  # largest order by default, for the same reason
-TRIALS = 10
-STYLE = ["rodlib.paper.style", {"axes.autolimit_mode": "round_numbers"}]
+TRIALS, REST = 10, 15  # the latter: samples at the end of a trial in which v is zero
+LOOK = {"axes.autolimit_mode": "round_numbers", "axes.prop_cycle": cycler(color=SHADES)}
 BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
-ENTRIES = cycler(linestyle=["-", ":"]) * (
-    cycler(color=["black", *SHADES[2:]]) + cycler(marker=["o", "x", "s", "^", "v"])
-)
 
 
 def try_out(
-    loop,
-    reference,
-    disturbance=None,
-    *,
-    cutoff,
-    Q_order=2,
-    uncertainty=0.0,
-    noise=0.0,
-    rest=15,
-    **choices,
+    loop, reference, disturbance=None, *, cutoff, noise=0.0, **choices
 ) -> tuple[Synthesis, xr.Dataset]:
     """Design a filter for a loop with a model P, and simulate ten trials with it.
 
@@ -47,17 +34,13 @@ def try_out(
     ----------
     loop, reference, disturbance
         As for :func:`ilctools.run_trials`.
-    cutoff, Q_order : float, int
-        Cut-off frequency (rad/s) and order of the Butterworth filter Q.
-    uncertainty : float
-        Radius around P, as a share of ||P||. With none, bounds hold between the design
-        frequencies, too; with one, nothing bounds P there.
+    cutoff : float
+        Cut-off frequency (rad/s) of the Butterworth filter Q of second order.
     noise : float
         Standard deviation of white noise in each output, in its unit, new in every trial.
-    rest : int
-        Samples at the end of a trial in which v is zero.
     **choices
-        Of :func:`ilctools.synthesise`: order, M_max, L_max, band, structure, ...
+        Of :func:`ilctools.synthesise`: order, M_max, L_max, band, structure, ... By default bounds
+        hold between the design frequencies, too.
 
     Returns
     -------
@@ -79,15 +62,12 @@ def try_out(
     >>> design.filter.order, trials.sizes["trial"]
     (10, 10)
     """
-    Q = zero_phase_butterworth(Q_order, cutoff, loop.Ts)
+    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     omega = np.geomspace(1e-4, np.pi, FREQUENCIES) / loop.Ts
-    if uncertainty:
-        size = np.linalg.norm(loop.frequency_response(omega), 2, axis=(1, 2))
-        choices = choices | {"uncertainty": uncertainty * size}
     with warnings.catch_warnings(action="ignore"):  # the certificate has them
-        design = synthesise(loop, Q, omega, **{"everywhere": not uncertainty} | choices)
+        design = synthesise(loop, Q, omega, **{"everywhere": True} | choices)
     noise = noise * np.random.default_rng(0).standard_normal((TRIALS, *np.shape(reference)))
-    law = design.law(rest=rest)
+    law = design.law(rest=REST)
     return design, run_trials(loop, law, reference, disturbance, TRIALS, noise=noise)
 
 
@@ -101,8 +81,8 @@ def open_workbench(loop, reference, disturbance=None, **choices):
     loop, reference, disturbance
         As for :func:`try_out`.
     **choices
-        Of :func:`try_out`, to begin with; those without a slider stay. Default: M_max = 0.9, a
-        cut-off of 0.1 / Ts, and L_max and order as :func:`ilctools.synthesise` chooses them.
+        Of :func:`try_out`, to begin with; those without a slider stay. Default: M_max = 0.9, ten
+        samples, a cut-off of 0.1 / Ts, and L_max as :func:`ilctools.synthesise` chooses it.
 
     Returns
     -------
@@ -127,12 +107,11 @@ def open_workbench(loop, reference, disturbance=None, **choices):
     # Here, because these come with the extra "notebooks".
     from IPython.core.pylabtools import print_figure
     from IPython.display import Image, display
-    from ipywidgets import interactive
+    from ipywidgets import Dropdown, FloatSlider, IntSlider, interactive
 
     def show(**knobs):
         try:
-            with warnings.catch_warnings(action="always"):  # of the trials
-                design, trials = try_out(loop, reference, disturbance, **choices | knobs)
+            design, trials = try_out(loop, reference, disturbance, **choices | knobs)
         except (ValueError, ArithmeticError, RuntimeError) as error:
             print(error)
             return None
@@ -140,45 +119,27 @@ def open_workbench(loop, reference, disturbance=None, **choices):
         print(design.certificate)
         return design
 
-    panel = interactive(show, **_knobs(loop, np.abs(reference).max(), choices))
-    panel.layout.flex_flow = "row wrap"  # sliders side by side, as many as there is room for
-    panel.out.layout.width = "100%"
-    return panel
-
-
-def _knobs(loop, largest, choices):
-    """A widget for each choice, which acts when it is let go; `largest` of the reference."""
-    from ipywidgets import Dropdown, FloatLogSlider, FloatSlider, IntSlider
-
-    start = {
-        "M_max": 0.9,
-        "cutoff": 0.1 / loop.Ts,
-        "Q_order": 2,
-        "structure": "diagonal",
-        "uncertainty": 0.0,
-        "noise": 0.0,
-    } | choices
-    problem = pose(loop, zero_phase_butterworth(start["Q_order"], start["cutoff"], loop.Ts))
-    start = {"L_max": problem.L_max, "order": min(problem.order, LIVELY)} | start
-    gain, cutoff = np.log10([start["L_max"], start["cutoff"]])
-    number = partial(FloatSlider, readout_format=".3g")
-    ranges = {  # least, most, step; of the logarithms, a decade to both sides
-        "M_max": (number, 0.05, 0.999, 0.001),
-        "L_max": (FloatLogSlider, gain - 1, gain + 1, 0.02),
-        "cutoff": (FloatLogSlider, cutoff - 1, cutoff + 1, 0.02),
-        "Q_order": (IntSlider, 1, 6, 1),
-        "order": (IntSlider, 1, max(20, 2 * start["order"]), 1),
-        "uncertainty": (number, 0, 0.2, 0.005),
-        "noise": (number, 0, largest / 10, largest / 1000),
+    start = {"M_max": 0.9, "cutoff": 0.1 / loop.Ts, "order": 10, "noise": 0.0} | choices
+    Q = zero_phase_butterworth(2, start["cutoff"], loop.Ts)
+    start = {"L_max": pose(loop, Q).L_max, "structure": "diagonal"} | start
+    gain, cutoff, noise = start["L_max"], start["cutoff"], np.abs(reference).max() / 10
+    real = partial(FloatSlider, readout_format=".3g")
+    ranges = {  # kind of slider; least, most, step
+        "M_max": (real, 0.05, 0.999, 0.001),
+        "L_max": (real, gain / 50, 4 * gain, gain / 50),
+        "cutoff": (real, cutoff / 50, 4 * cutoff, cutoff / 50),
+        "order": (IntSlider, 1, 2 * start["order"], 1),
+        "noise": (real, 0, noise, noise / 100),
     }
     knobs = {
         name: kind(value=start[name], min=least, max=most, step=step, continuous_update=False)
         for name, (kind, least, most, step) in ranges.items()
-    }
-    return knobs | {"structure": Dropdown(options=["diagonal", "full"], value=start["structure"])}
+    }  # they act when they are let go
+    knobs["structure"] = Dropdown(options=["diagonal", "full"], value=start["structure"])
+    return interactive(show, **knobs)
 
 
-@style.context(STYLE)
+@style.context(["rodlib.paper.style", LOOK])
 def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
     """Draw a design of (39) as one would first look at it, with trials of its law.
 
@@ -207,58 +168,36 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
     >>> len(figure.axes)
     4
     """
-    arguments.instance("design", design, Synthesis)
     figure = Figure((7.6, 5.2), dpi=100, layout="none")  # inches; to find a layout takes long
     (rate, errors), (gain, lags) = figure.subplots(2, 2)
-    figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
-    figure.text(0.07, 0.96, "dashed: bounds    dotted: mean rate in the band")
-    problem, certificate = design.problem, design.certificate
-    _draw_singular_values(rate, design.omega, design.sigma_M, problem.M_max)
-    rate.plot(problem.objective.band, [certificate.mean_M] * 2, color="black", linestyle=":")
-    rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
-    _draw_singular_values(gain, design.omega, design.sigma_L, problem.L_max)
-    gain.set(title=r"gain $\bar\sigma(L)$ of the learning filter", ylim=(0, None))
-    _draw_errors(errors, trials)
+    figure.subplots_adjust(0.07, 0.09, 0.985, 0.94, wspace=0.2, hspace=0.45)
+    problem, omega, mean = design.problem, design.omega, design.certificate.mean_M
+    rate.plot(omega, design.sigma_M)
+    rate.plot(problem.objective.band, [mean, mean], color="black", linestyle=":")
+    rate.axhline(problem.M_max, **BOUND)
+    gain.plot(omega, design.sigma_L)
+    gain.axhline(problem.L_max, **BOUND)
+    for axes in (rate, gain):
+        axes.set(xscale="log", xlabel="frequency (rad/s)", xlim=omega[[0, -1]], ylim=(0, None))
+    rate.set_title(r"rate $\bar\sigma(M)$, its bound, its mean in the band")
+    gain.set_title(r"gain $\bar\sigma(L)$, its bound")
+    errors.semilogy(trials.trial, rms(trials), "o-", markersize=4)
+    title = with_unit("RMS of the error", ", ".join(dict.fromkeys(trials.output_unit.values)))
+    errors.set(title=f"{title}, simulated", xlabel="trial", xticks=trials.trial)
     _draw_coefficients(lags, design.filter.coefficients)
     for axes in figure.axes:
         axes.autoscale_view()  # now, while the style is in force
     return figure
 
 
-def _draw_singular_values(axes, omega, sigma, bound):
-    axes.plot(omega, sigma, color="black")
-    axes.axhline(bound, **BOUND)
-    axes.set(xscale="log", xlabel="frequency (rad/s)", xlim=omega[[0, -1]])
-
-
-def _draw_errors(axes, trials):
-    numbers, units = trials.trial.values, sorted({*trials.output_unit.values})
-    axes.semilogy(numbers, rms(trials), "o-", markersize=4, color="black")
-    axes.set(xlabel="trial", xticks=numbers, xlim=(numbers[0] - 0.3, numbers[-1] + 0.3))
-    title = with_unit("RMS of the error", ", ".join(units))
-    axes.set_title(f"{title}, simulated", parse_math=False)
-
-
 def _draw_coefficients(axes, coefficients):
-    """A line for each entry of the filter that is not zero, its diagonal first."""
+    """A line for each entry of the filter that is not zero."""
     m, _, order = coefficients.shape
-    axes.set_prop_cycle(ENTRIES)
-    for i, j in sorted(np.ndindex(m, m), key=lambda entry: entry[0] != entry[1]):
+    for i, j in np.ndindex(m, m):
         if coefficients[i, j].any():
-            label = f"$L_{{{i + 1}{j + 1}}}$"
-            axes.plot(np.arange(1, order + 1), coefficients[i, j], markersize=4, label=label)
-    axes.set(title="coefficients of $L$", xlabel="samples ahead")
+            look, label = "o-" if i == j else "x:", f"$L_{{{i + 1}{j + 1}}}$"
+            axes.plot(np.arange(1, order + 1), coefficients[i, j], look, markersize=4, label=label)
     # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
     # would decide into which of them.
-    axes.set_xlim(0.4, order + 0.6)
-    axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.02, 0.97),
-        ncols=5,
-        fontsize=8,
-        borderpad=0.2,
-        handlelength=0.9,
-        handletextpad=0.4,
-        columnspacing=0.8,
-    )
+    axes.set(title="coefficients of $L$", xlabel="samples ahead", xlim=(0.4, order + 0.6))
+    axes.legend(fontsize=8)

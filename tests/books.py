@@ -5,6 +5,8 @@ import pandas as pd
 
 from rodlib.paper.repository import ROOT
 
+# how a notebook saves a figure
+SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'
 BOOKS = {
     path.stem: nbformat.read(path, as_version=4)
     for path in sorted((ROOT / "notebooks").glob("*.ipynb"))

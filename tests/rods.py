@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 
 from ilctools import LearningFilter
 from rodlib import Rod
-from rodlib.approximations import modal_series
 from rodlib.paper import published
 from rodlib.rigs import RestartingRig, RigParameters
+from rodlib.rod import labelled
+from rodlib.rod import modes as modes_of
 
 PRINTED = LearningFilter(published.matrix("L_diagonal"), 1.0)  # the paper's diagonal one
 MATERIALS = st.builds(
@@ -67,6 +68,6 @@ def readings_of(rig, commands):
 
 def modal_model(specimen, Ts, modes=250):
     """The rod behind a hold with so many modes, whose elements have gains."""
-    model = control.sample_system(modal_series(specimen.rod, modes), Ts, "zoh")
-    names = {"inputs": specimen.rod.inputs, "outputs": specimen.rod.outputs}
-    return control.ss(model.A, model.B * [*specimen.gains, 1], model.C, 0, Ts, **names)
+    s, B, C = modes_of(specimen.rod, np.arange(modes))
+    model = labelled(specimen.rod, np.diag(s), B * [*specimen.gains, 1], C)
+    return control.sample_system(model, Ts, "zoh")

@@ -9,13 +9,11 @@ from tempfile import TemporaryDirectory
 import control
 import numpy as np
 import pytest
-import skfem
 import xarray as xr
 
 import ilctools
 import rodlib
-from ilctools import alternatives
-from rodlib import Rod, approximations
+from rodlib import Rod
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
 LOOP, PAPER = ilctools.current_trial_loop(PLANT, ["u"]), rodlib.paper_loop()
@@ -51,12 +49,11 @@ WRONG = {
     name: values
     for values, names in (
         ([*POSITIVE[:3]], "sensor_psd"),
-        (["1", np.nan, [1.0]], "slope"),
         (MODEL, "P plant system"),
-        (POSITIVE, "Ts cutoff conductivity density M_max L_max weight gain step"),
+        (POSITIVE, "Ts cutoff conductivity density M_max L_max weight gain"),
         (POSITIVE, "share lowest highest amplitude hours lag"),
-        (WHOLE, "degree states elements cells modes order samples trials sections"),
-        (WHOLE, "number root ahead channels lines seed rest"),
+        (WHOLE, "degree cells modes order samples trials sections"),
+        (WHOLE, "number root channels lines seed rest"),
         ([1.5, "1"], "first"),
         (ARRAY, "omega s signal v e reference coefficients gains heat_flows weights"),
         (ARRAY, "sensors deviations heaters readings"),
@@ -74,16 +71,15 @@ READINGS = control.forced_response(BOARD, inputs=HEATERS.T).outputs.T
 # What belongs there, by the name of the argument; others are left out.
 RIGHT = {
     "rod": Rod(), "nominal": Rod(), "conductivity": 55.0, "density": 7800.0, "sections": 4,
-    "sensors": (0.1,), "degree": 1, "s": [1j], "omega": OMEGA, "Ts": 1.0, "states": 2,
-    "element": skfem.ElementLineP1(), "elements": 1, "cells": 2, "modes": 5,
-    "inputs": ["Q1"], "samples": 6, "trials": 2, "first": 1, "share": 0.1, "gains": np.ones(4),
+    "sensors": (0.1,), "degree": 1, "s": [1j], "omega": OMEGA, "Ts": 1.0, "cells": 2, "modes": 5,
+    "samples": 6, "trials": 2, "first": 1, "share": 0.1, "gains": np.ones(4),
     "deviations": np.zeros(10), "spread": SPREAD, "number": 1, "root": 1, "seed": 1, "lag": 4.0,
     "specimens": [SPECIMEN], "heat_flows": np.zeros(4), "heaters": HEATERS,
     "readings": READINGS, "P": P, "Q": Q, "L": L, "law": LAW, "loop": LOOP,
     "plant": PLANT, "system": PLANT, "controls": ["u"], "weights": [1.0], "order": 2,
     "cutoff": 0.1, "ends": "hold", "signal": SIGNAL, "v": SIGNAL, "reference": SIGNAL,
-    "coefficients": L.coefficients, "rest": 1, "gain": 0.5, "slope": 0.0, "ahead": 1,
-    "channels": 1, "step": 0.1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
+    "coefficients": L.coefficients, "rest": 1, "gain": 0.5,
+    "channels": 1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
     "structure": "full", "e": xr.DataArray(SIGNAL, dims=("time", "channel")),
     "sensor_psd": 1.0, "new": NOISE, "problem": DESIGN.problem,
     "rig": RIG, "excitation": EXCITATION,
@@ -94,12 +90,7 @@ FURTHER = {
     Rod: {"density": [1e12], "sections": [0, 1001], "sensors": [(0.1, 0.5), ()]},
     rodlib.midr: {"degree": [0, 21]},
     rodlib.sampled_response: {"omega": [[-1e-3], [3.2]], "Ts": [0.0, 1e-7]},
-    approximations.balanced_truncation: {"states": [0, 50], "inputs": [[], ["Q5"], "Q1"]},
-    approximations.finite_elements: {
-        "element": ["P1", skfem.ElementLineP0(), skfem.ElementTriP1()]
-    },
-    approximations.finite_volumes: {"cells": [0, 1001]},
-    approximations.modal_series: {"modes": [0, 10_001]},
+    rodlib.finite_volumes: {"cells": [0, 1001]},
     rodlib.paper_loop: {"rod": [Rod(sections=3), Rod(sensors=(0.1,))], "Ts": [1e-5, 1e4, np.inf]},
     rodlib.assumed_reference: {"samples": [0]},
     rodlib.assumed_disturbance: {"samples": [0], "trials": [0], "first": [0, -1]},
@@ -115,8 +106,8 @@ FURTHER = {
 }
 
 # Tested with their own files, or not called by themselves.
-TESTED = """InfeasibleError MISMATCHED Rig TemperatureControlLab alternatives errors
-    approximations heat_balance open_workbench plot paper_choices
+TESTED = """InfeasibleError MISMATCHED Rig TemperatureControlLab errors
+    heat_balance open_workbench plot paper_choices
     state_sequence try_out"""
 ELSEWHERE = {*TESTED.split()}
 EXPORTED = {name: getattr(of, name) for of in (rodlib, ilctools) for name in of.__all__}
@@ -158,13 +149,6 @@ OWN = {
 }  # fmt: skip
 DOORS = [
     *(door for name, door in EXPORTED.items() if name not in ELSEWHERE),
-    approximations.balanced_truncation,
-    approximations.finite_elements,
-    approximations.finite_volumes,
-    approximations.modal_series,
-    alternatives.pd_type,
-    alternatives.gradient,
-    alternatives.extent,
     rodlib.Spread.of_all,
     SPREAD.specimen,
     RIG.apply,

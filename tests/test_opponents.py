@@ -10,10 +10,9 @@ import control
 import numpy as np
 import pytest
 from books import code
-from plants import LOOPS, bump, frequencies
+from plants import LOOPS, as_matrix, bump, frequencies, lifted, random_stable
 
 from ilctools import Law, NormOptimal, frequency_response, rms, run_trials, zero_phase_butterworth
-from ilctools.alternatives import gradient
 from rodlib import paper_loop
 
 # imports and functions of notebook 8, as they stand there
@@ -29,6 +28,12 @@ PLANTS = {"rod": paper_loop} | LOOPS
 @pytest.fixture(scope="module", params=["rod", "tanks", "furnace"])
 def P(request):
     return PLANTS[request.param]().P
+
+
+def test_the_gradient_is_the_adjoint_of_a_trial():
+    model = random_stable(0)
+    adjoint = as_matrix(opponents.gradient(model, 0.3).apply, 40, 2)
+    np.testing.assert_allclose(adjoint, 0.3 * lifted(model, 40).T, atol=1e-9)
 
 
 def test_both_inversions_are_what_they_are_called(P):
@@ -70,7 +75,7 @@ def test_rehearsed_trials_are_the_simulated_ones():
     task = {"reference": bump(900, [1.0, 2.0, 3.0]), "trials": 4, "noise": noise}
     alone = run_trials(loop, Law(Q, None), **task).e.values
     P = loop.frequency_response(2 * np.pi * np.fft.rfftfreq(1800, loop.Ts))
-    for L in (gradient(loop.P, 0.9), NormOptimal(loop.P, 0.01, 900)):
+    for L in (opponents.gradient(loop.P, 0.9), NormOptimal(loop.P, 0.01, 900)):
         errors = opponents.rehearsed(P, Q, alone, 5, L)
         run = run_trials(loop, Law(Q, L, rest=5), **task)
         np.testing.assert_allclose(errors, run.e.values, atol=1e-6)

@@ -36,10 +36,6 @@ CONSTANTS = {  # that no cell prints, with the reason
         "93": "per cent of 100 seeds within 90 %, by benchmarks/confidence.py",
         "2012": "year of the book",
     },
-    "13-a-strangers-log": {
-        "95": "per cent, what the intervals are for",
-        "91": "per cent of 100 simulated logs, git show a88ddc6:tests/benchmarks/heat_balance.py",
-    },
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 NO_RESULT = re.compile(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from books import ROWS, code
 
-from rodlib.paper.ledger import COEFFICIENT, DIFFERS, IN_WORDS, KINDS, REPRODUCED, UNCHECKED
+from rodlib.paper.ledger import DIFFERS, IN_WORDS, KINDS, REPRODUCED, UNCHECKED
 from rodlib.paper.repository import ROOT
 
 README, GUIDE = ((ROOT / name).read_text("utf-8") for name in ("README.md", "docs/guide.md"))
@@ -52,15 +52,14 @@ def test_notebook_11_runs_the_lines_of_the_guide():
 
 def test_what_it_says_first_is_what_the_ledger_counts():
     """Of what could have differed, each kind apart: how many there are, how many agree; by name."""
-    kind = ROWS.kind.mask(ROWS.key.str.match(COEFFICIENT), "coefficient")
     said = README.partition("<!-- ledger -->\n")[2].partition("<!-- end")[0].splitlines()
     names = ["printed", "derived", "coefficient", "statement", "assumed"]
     for name, line in zip(names, said, strict=False):
-        verdicts = ROWS.verdict[kind == name]
+        verdicts = ROWS.verdict[ROWS.kind == name]
         differ = [*ROWS.key[verdicts.index[verdicts == DIFFERS]]]
         agree = (verdicts == REPRODUCED).sum()
         assert f"{KINDS[name]}: {agree} of {agree + len(differ)} agree" in line
         assert re.findall("`([^`]+)`", line) == (differ if name != "coefficient" else [])
-    vague = (ROWS.verdict[kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
+    vague = (ROWS.verdict[ROWS.kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
     unchecked = (ROWS.verdict == UNCHECKED).sum()
     assert f"choices of ours: {vague}; cannot be checked: {unchecked}" in said[5]

@@ -30,7 +30,7 @@ def _rank(name):
 
 def stubs() -> dict[Path, str]:
     """Each stub by its path."""
-    of_rodlib = stub("rodlib", rodlib.MODULES, ["approximations"])
+    of_rodlib = stub("rodlib", rodlib.MODULES)
     of_ilc = stub("ilctools", ilctools.MODULES, ilctools.ROOMS)
     return {
         Path(package.__file__).with_suffix(".pyi"): text + "\n__version__: str\n"

@@ -20,7 +20,7 @@ PYTEST = "-m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder --nbval -
 
 def parts(build: Path, machine: bool) -> dict[str, list]:
     """Arguments of Python, by the name of what they run."""
-    notebooks = [*longest_first(ROOT), ROOT / "rodlib" / "paper" / "replay.ipynb"]
+    notebooks = longest_first(ROOT)
     tests = sorted((ROOT / "tests").glob("test_*.py"))
     rooms = [ROOT / "tests" / room for room in ("on_the_rod", "paper")]
     rooms.append(ROOT / "toolbox" / "tests")

@@ -7,7 +7,7 @@ from ilctools import lazily
 
 MODULES = {
     "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED LOOKS MARK SHADES TALL WIDE
-        plain save""",
+        save""",
     "ledger": "Ledger",
     "parameters": "checked",
     "repository": "ROOT",

@@ -31,19 +31,17 @@ def same_text(one: str, other: str) -> bool:
 def same_number(one: str, other: str) -> bool:
     """Whether two printed numbers are one unit of the last digit apart at most."""
     a, b = (Decimal(text.replace(",", "").replace("−", "-")) for text in (one, other))
-    if not re.search("[.eE]", one + other):  # whole numbers
-        return a == b or abs(a - b) * LARGE <= abs(a) >= LARGE
     # where zeros at the end are left out, 0.1 is next to 0.099
-    return abs(a - b) <= Decimal(1).scaleb(min(a.as_tuple().exponent, b.as_tuple().exponent))
+    unit = Decimal(1).scaleb(min(a.as_tuple().exponent, b.as_tuple().exponent))
+    if not re.search("[.eE]", one + other):  # whole numbers
+        unit = abs(a) // LARGE
+    return abs(a - b) <= unit
 
 
 def different_figures(drawn: Path, before: Path) -> list[str]:
-    """Names of the notebooks' figures that are not the same in both folders, or not in both."""
-    paths = [path for folder in (drawn, before) for path in folder.glob("*.png")]
-    names = {path.name for path in paths if path.name.startswith(("fig", "extra"))}
-    return sorted(
-        Path(name).stem for name in names if not same_picture(drawn / name, before / name)
-    )
+    """Names of the figures that were not drawn alike before, or not at all."""
+    pairs = [(path, before / path.name) for path in sorted(drawn.glob("*.png"))]
+    return [path.stem for path, tracked in pairs if not same_picture(path, tracked)]
 
 
 def same_picture(one: Path, other: Path) -> bool:

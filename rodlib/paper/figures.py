@@ -1,14 +1,11 @@
 """Figures as they are saved and shown; their style is ``plt.style.use("rodlib.paper.style")``."""
 
 from base64 import b64encode
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 from ilctools.files import folder, replacing
 from rodlib.paper.comparison import PIXELS_PER_INCH, same_picture
@@ -16,9 +13,6 @@ from rodlib.paper.repository import ROOT, results
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
 TALL = (7.2, 5.0)  # inches, two rows of axes
-
-FRAMES, SECONDS = 100, 8  # of an animation: it moves smoothly, in less than a megabyte
-STILL = 0.2  # share of an animation after which its picture is taken
 
 # As in the paper: black for the first, gray for the second of a pair, dashed for variants.
 BLACK = {"color": "black"}
@@ -64,26 +58,19 @@ class SavedFigure:
         display(Markdown(f"*{self.caption}*"))
 
 
-def save(figure: Figure, name: str, caption: str, moves: Callable | None = None) -> SavedFigure:
+def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
     The same bytes in every run; the PDF only where the PNG is not the same as in figures/, because
     it takes as long as all else. As the last expression of a cell, the outcome shows the figure.
     The name begins with the paper's figure, as in "fig04-frequency-response"; the caption says what
     is to be seen, in a sentence or two of plain text that stand for themselves.
-
-    `moves` takes a share of time, from 0 to 1, and moves what is drawn there: then the figure is
-    written as an animated WebP, too, wherever the PDF is.
     """
     width = round(figure.get_figwidth() * figure.get_dpi())
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
-    if moves:
-        moves(STILL)
     _write(figure, picture, "Software")
     if not same_picture(picture, ROOT / "figures" / picture.name):
         _write(figure, picture.with_suffix(".pdf"), "CreationDate")
-        if moves:
-            _animate(figure, picture.with_suffix(".webp"), moves)
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(picture, width, caption)
 
@@ -93,22 +80,3 @@ def _write(figure, path, stamp):
     kind = {"format": path.suffix[1:], "metadata": {stamp: None}}
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=PIXELS_PER_INCH, **kind)
-
-
-def _animate(figure, path, moves):
-    """Write an animation, without loss, so that it is the same bytes in every run."""
-    figure.set_layout_engine("none")  # axes stand still
-    frames = []
-    for share in np.linspace(0, 1, FRAMES):
-        moves(share)
-        figure.canvas.draw()
-        frames.append(Image.fromarray(np.array(figure.canvas.buffer_rgba())).convert("RGB"))
-    timing = {"duration": 1000 * SECONDS // FRAMES, "loop": 0, "lossless": True, "method": 4}
-    with replacing(path) as temporary:
-        frames[0].save(temporary, "webp", save_all=True, append_images=frames[1:], **timing)
-
-
-def plain(name: str) -> str:
-    """A name from outside, as a label shows it to the letter: no formula, and not left out."""
-    shown = name.replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown

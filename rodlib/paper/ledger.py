@@ -15,14 +15,12 @@ parameters *taken over* from the paper; an *identity*, which is imposed, or alge
 another row: a double zero counts once.
 
 A number is shown to the last digit that the paper prints, one that tests a statement in words with
-five significant digits, and with more only where the verdict would not follow from these: more
-would say nothing about the agreement, and the coefficients of a flat optimum are not determined
-further. Where rounding moves it by one unit of the last digit shown, the row stays as it is.
+five significant digits, and judged as it is shown: more would say nothing about the agreement, and
+the coefficients of a flat optimum are not determined further. Where rounding moves numbers by one
+unit of the last digit shown, the ledger stays as it is.
 """
 
 import json
-import re
-from itertools import count
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
 
@@ -56,12 +54,6 @@ NEGLIGIBLE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
-SAVED = r'\bsave\(\w+, "([^"]+)", caption(?:, moves)?\)'  # how a notebook saves a figure
-LINK = "- [{0}]({0}.png): [{1}](../notebooks/{1}.ipynb#cell-id={2})\n"  # of a figure, on the page
-MANIFEST = """  - file: figures/{0}.png
-    comment: "{3}; notebooks/{1}.ipynb, cell {2}"
-"""  # of codecheck.yml
-COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
     "key", "place", "claim", "printed", "computed", "tolerance", "deviation", "verdict", "kind",
@@ -93,10 +85,10 @@ def judged(claim: Claim, computed: float) -> dict[str, str]:
     """What a row says of a computed number."""
     if claim.criterion == UNCHECKED:
         return {"verdict": UNCHECKED}
-    if claim.criterion.startswith(WORDS):
-        sentence = claim.criterion.removeprefix(WORDS).format(f"{float(computed):.3g}")
-        return {"computed": sentence, "verdict": IN_WORDS}
     value = float(computed)
+    if claim.criterion.startswith(WORDS):
+        sentence = claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
+        return {"computed": sentence, "verdict": IN_WORDS}
     text = shown(claim, value)
     outcome, deviation = verdict(claim, value if text == NEGLIGIBLE else float(text))
     *_, tolerance = rule(claim)
@@ -109,15 +101,11 @@ def judged(claim: Claim, computed: float) -> dict[str, str]:
 
 
 def shown(claim: Claim, value: float) -> str:
-    """A computed number with as many digits as are printed, or as its verdict needs."""
+    """A computed number with as many digits as are printed."""
     if 0 < abs(value) <= NOISE:
         return NEGLIGIBLE
-    digits, notation = published.decimals(claim.printed), "f"
-    if digits is None:
-        digits, notation = SIGNIFICANT, "g"
-    texts = (f"{value:z.{places}{notation}}" for places in count(digits))
-    outcome, _ = verdict(claim, value)
-    return next(text for text in texts if verdict(claim, float(text))[0] == outcome)
+    places = published.decimals(claim.printed)
+    return f"{value:z.{SIGNIFICANT}g}" if places is None else f"{value:z.{places}f}"
 
 
 class Ledger:
@@ -161,20 +149,15 @@ class Ledger:
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
-        *_, last = code_cells(ROOT / "notebooks" / f"{self.notebook}.ipynb")  # it records them
-        rows = self.frame().assign(notebook=self.notebook, cell=last["id"])
+        notebook = ROOT / "notebooks" / f"{self.notebook}.ipynb"
+        cell = json.loads(notebook.read_text("utf-8"))["cells"][-1]["id"]  # the last records them
+        rows = self.frame().assign(notebook=self.notebook, cell=cell)
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
     def frame(self) -> pd.DataFrame:
         """The rows recorded so far, in the order of the paper."""
         rows = [self.rows[key] for key in published.claims() if key in self.rows]
         return pd.DataFrame(rows, columns=COLUMNS)
-
-
-def code_cells(notebook: Path) -> list[dict]:
-    """The cells of a notebook that have code."""
-    cells = json.loads(notebook.read_text("utf-8"))["cells"]
-    return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
 def differing_first(rows: pd.DataFrame) -> pd.DataFrame:
@@ -188,7 +171,7 @@ def join(parts: Path) -> pd.DataFrame:
     A claim with two rows is a ValueError, one without a row a KeyError; both name it.
     """
     rows = pd.concat([*map(read, sorted(parts.glob("*.csv")))], verify_integrity=True)
-    return rows.loc[list(published.claims())].reset_index()[COLUMNS]
+    return rows.loc[list(published.claims())]
 
 
 def read(path):
@@ -201,7 +184,7 @@ def summary(rows: pd.DataFrame) -> str:
     counts, lines = counted(rows), []
     for name in COUNTED:
         agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]
-        keys = rows.key[(kinds(rows) == name) & (rows.verdict == DIFFERS)]
+        keys = rows.key[(rows.kind == name) & (rows.verdict == DIFFERS)]
         linked = "[`{0}`](figures/ledger.md#{0})".format
         names = ", ".join(map(linked, keys)) if name != "coefficient" else ""
         which = f", not {names}" if names else ""
@@ -211,27 +194,10 @@ def summary(rows: pd.DataFrame) -> str:
     return "".join([*lines, last])
 
 
-def kinds(rows: pd.DataFrame) -> pd.Series:
-    """The kind of each row; coefficients count apart."""
-    return rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
-
-
 def counted(rows: pd.DataFrame) -> pd.DataFrame:
     """How many claims of each kind got which verdict."""
-    counts = pd.crosstab(kinds(rows), rows.verdict)
+    counts = pd.crosstab(rows.kind, rows.verdict)
     return counts.reindex(index=KINDS, columns=VERDICTS, fill_value=0)
-
-
-def saved_figures(line: str) -> str:
-    """A line for each figure, the paper's first, of its name, notebook, cell, and what it is."""
-    saved = []
-    for path in (ROOT / "notebooks").glob("*.ipynb"):
-        for cell in code_cells(path):
-            for name in re.findall(SAVED, "".join(cell["source"])):
-                paper = re.match(r"fig0?(\d+)", name)
-                what = f"Fig. {paper[1]} of the paper" if paper else "not in the paper"
-                saved.append((not paper, name, path.stem, cell["id"], what))
-    return "".join(line.format(*of) for _, *of in sorted(saved))
 
 
 def markdown(rows: pd.DataFrame) -> str:
@@ -247,7 +213,7 @@ def markdown(rows: pd.DataFrame) -> str:
         "verdict": "[" + rows.verdict + cells,
     }
     table = pd.DataFrame(columns).replace({r"\|": r"\|"}, regex=True)
-    hardly = kinds(rows).isin(["taken over", "identity"]) & (rows.verdict != DIFFERS)
+    hardly = ~rows.kind.isin([*COUNTED, "misprint"]) & (rows.verdict != DIFFERS)
     first, folded = (
         part.to_markdown(index=False, disable_numparse=True)
         for part in (table[~hardly], table[hardly])
@@ -282,61 +248,46 @@ Each verdict leads to the cell that computes the number.
 {folded}
 
 </details>
-
-## The figures
-
-{saved_figures(LINK)}"""
+"""
 
 
 def splice(text: str, name: str, content: str) -> str:
     """Replace what stands between the two markers `name` of a Markdown text."""
-    markers = rf"(<!-- {name} -->\n).*(<!-- end of {name} -->)"
-    spliced, places = re.subn(
-        markers, lambda found: found[1] + content + found[2], text, flags=re.S
-    )
-    if not places:
-        raise ValueError(f"the text has no markers <!-- {name} --> and <!-- end of {name} -->")
-    return spliced
+    begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    before, _, rest = text.partition(begin)
+    _, found, after = rest.partition(end)
+    if not found:
+        raise ValueError(f"the text has no markers {begin.strip()} and {end}")
+    return before + begin + content + end + after
 
 
 def publish(build: Path, root: Path) -> None:
     """Put what a complete run has changed into figures/ and the README; git mends half of it."""
     for name in changed(build, root):
-        if (build / name).exists():
-            write_pieces(root / name, [(build / name).read_bytes()])
-        else:
-            (root / name).unlink(missing_ok=True)
+        write_pieces(root / name, [(build / name).read_bytes()])
 
 
 def changed(build: Path, root: Path) -> list[str]:
-    """Print and return which files a reader sees changed by a run, gone ones among them.
+    """Print and return which files a reader sees changed by a run.
 
-    The texts are written to `build`, under the names that they have in the repository.
+    The texts are written to `build`, under the names that they have in the repository. Computed
+    numbers stay as they are tracked, if all of them are the same to a reader.
     """
-    rows = settled(join(build / "ledger"), read(root / "figures" / "ledger.csv"))
-    readme, codecheck = (
-        (root / name).read_text(encoding="utf-8") for name in ("README.md", "codecheck.yml")
-    )
+    rows, tracked = join(build / "ledger"), read(root / "figures" / "ledger.csv")
+    if same_text(*(table[["computed", "verdict"]].to_csv() for table in (rows, tracked))):
+        rows = rows.assign(**tracked[["computed", "deviation"]])
+    rows = rows.reset_index()[COLUMNS]
     texts = {
         "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
         "figures/ledger.md": markdown(rows),
-        "README.md": splice(readme, "ledger", summary(rows)),
-        "codecheck.yml": splice(codecheck, "manifest", saved_figures(MANIFEST) + "  # "),
+        "README.md": splice((root / "README.md").read_text("utf-8"), "ledger", summary(rows)),
     }
-    figures = different_figures(build / "figures", root / "figures")
-    names = [f"figures/{name}.{kind}" for name in figures for kind in ("png", "pdf", "webp")]
-    names = [name for name in names if (build / name).exists() or (root / name).exists()]
+    different = different_figures(build / "figures", root / "figures")
+    files = [path for name in different for path in (build / "figures").glob(f"{name}.*")]
+    names = sorted(path.relative_to(build).as_posix() for path in files)
     for name, text in texts.items():
         write_whole(build / name, text)
         if text.encode() != (root / name).read_bytes():
             names.append(name)
     print(f"different: {', '.join(names)}" if names else "all is the same as before")
     return names
-
-
-def settled(rows: pd.DataFrame, tracked: pd.DataFrame) -> pd.DataFrame:
-    """The rows with computed numbers as they are tracked, where a reader sees no difference."""
-    tracked = tracked.reindex(rows.key, fill_value="new").set_axis(rows.index)
-    same = rows.computed.combine(tracked.computed, same_text) & (rows.verdict == tracked.verdict)
-    numbers = ["computed", "deviation"]
-    return rows.assign(**rows[numbers].mask(same, tracked[numbers]))

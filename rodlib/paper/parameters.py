@@ -5,8 +5,6 @@ call, which refuses in one sentence what no cell could use, and says of a choice
 text's own that the text was written for another one.
 """
 
-import numpy as np
-
 from ilctools.arguments import number, whole
 
 
@@ -17,14 +15,11 @@ def checked(**parameters: tuple) -> dict:
     whole; for all else (value, default), which is only compared.
     """
     for name, (value, _, *ends) in parameters.items():
-        if not ends:
-            continue
-        least, most = ends
-        if isinstance(least, int | np.integer):
-            whole(name, value, least, most)
-        else:
-            span = f"a number from {least:g} to {most:g}"
-            number(name, value, span, least=least, most=most)
+        if ends and all(isinstance(end, int) for end in ends):
+            whole(name, value, *ends)
+        elif ends:
+            least, most = ends
+            number(name, value, f"a number from {least:g} to {most:g}", least=least, most=most)
     others = [name for name, (value, default, *_) in parameters.items() if value != default]
     if others:
         from IPython.display import Markdown, display  # only a notebook has it

@@ -32,7 +32,7 @@ class Claim:
     unit: str = ""
     criterion: str = ""  # for statements: what the computed number must fulfil
     note: str = ""
-    kind: str = "printed"  # or another key of ledger.KINDS, "taken over", "identity"
+    kind: str = "printed"  # or another key of ledger.KINDS
 
 
 def value(printed: str) -> float:
@@ -90,12 +90,7 @@ def claims() -> dict[str, Claim]:
     """
     expanded = []
     for claim in (Claim(*row) for row in _table("claims").itertuples()):
-        if claim.key in MATRICES:
-            expanded.extend(_entries(claim))
-        elif claim.key == "invariants":
-            expanded.extend(_invariants(claim.place))
-        else:
-            expanded.append(claim)
+        expanded.extend(_entries(claim) if claim.key in MATRICES else [claim])
     return {claim.key: claim for claim in expanded}
 
 
@@ -107,25 +102,3 @@ def _entries(claim):
         kind = "printed" if claim.key == "K_L" and row in ("11", "12") else claim.kind
         name = {"key": claim.key + entry, "claim": claim.claim + entry}
         yield replace(claim, **name, printed=printed, kind=kind)
-
-
-def _invariants(place):
-    """Products of K_s and K_L that no orthogonal change of state coordinates alters."""
-    Ks, KL1 = matrix("K_s"), matrix("K_L")[:10].T
-    rounding = half_unit("0.0001")
-    for label, X, Y in (("K_s K_s'", Ks, Ks), ("K_L1' K_L1", KL1, KL1), ("K_s K_L1", Ks, KL1)):
-        for i, j in np.ndindex(2, 2):
-            if X is Y and j < i:  # symmetric
-                continue
-            product, entry = X[i] @ Y[j], f"{label}[{i + 1},{j + 1}]"
-            # what the rounding of the printed entries can add up to
-            tolerance = rounding * (np.abs(X[i]).sum() + np.abs(Y[j]).sum() + 10 * rounding)
-            yield Claim(
-                entry,
-                place,
-                f"{label}, entry [{i + 1},{j + 1}], from the printed gains",
-                f"{product:.5f}",
-                criterion=f"{product:.8f} +- {tolerance:.8f}",
-                note="independent of the state coordinates; tolerance from the printed digits",
-                kind="derived",
-            )

@@ -9,13 +9,7 @@ from books import BOOKS, cells
 from nbformat import v4
 from nbval.plugin import IPyNbFile
 
-from rodlib.paper.comparison import (
-    NUMBER,
-    PIXELS_PER_INCH,
-    different_figures,
-    same_picture,
-    same_text,
-)
+from rodlib.paper.comparison import NUMBER, PIXELS_PER_INCH, different_figures, same_text
 
 PIXEL = 72 / 200 / 140  # in data: the axes are 140 points high
 TEXT = """rate at most 0.8833, proven at all frequencies; largest near 0.042 rad/s
@@ -119,22 +113,10 @@ def test_half_a_pixel_is_the_same_and_what_is_seen_is_not(before, tmp_path, chan
     assert different_figures(draw(tmp_path / "drawn", **changes), before) == names
 
 
-def test_a_dot_of_one_pixel_is_found_where_it_comes_and_where_it_goes(tmp_path):
-    picture = np.full((5, 5, 3), 255, np.uint8)
-    for name in ("without", "dot"):
-        plt.imsave(tmp_path / name, picture, format="png")
-        picture[2, 2] = 0
-    assert not same_picture(tmp_path / "dot", tmp_path / "without")
-    assert not same_picture(tmp_path / "without", tmp_path / "dot")
-
-
-def test_figures_that_come_go_or_cannot_be_read_are_named_and_others_left_alone(before, tmp_path):
+def test_figures_that_come_or_cannot_be_read_are_named(before, tmp_path):
     drawn = shutil.copytree(before, tmp_path / "drawn")
-    tracked = shutil.copytree(before, tmp_path / "tracked")
     shutil.copy(before / "fig01.png", drawn / "extra02.png")
-    for name in ("fig03", "performance"):
-        shutil.copy(before / "fig01.png", tracked / f"{name}.png")
-    assert different_figures(drawn, tracked) == ["extra02", "fig03"]
+    assert different_figures(drawn, before) == ["extra02"]
     content = (before / "fig01.png").read_bytes()
     for broken in (b"", b"<<<<<<< HEAD\n", content[:-100]):
         (drawn / "fig01.png").write_bytes(broken)

@@ -33,3 +33,16 @@ def test_claims_expand_matrices_and_are_complete():
         assert claim.place == "Abstract" or re.match(r"(I|II|III|IV|V), \S", claim.place), claim.key
         if not claim.criterion:
             assert np.isfinite(published.value(claim.printed))
+
+
+def test_derived_numbers_are_products_of_the_printed_gains():
+    """No orthogonal change of state coordinates alters them; rounding may add up to so much."""
+    Ks, KL1 = published.matrix("K_s"), published.matrix("K_L")[:10].T
+    pairs, half = {"K_s K_s'": (Ks, Ks), "K_L1' K_L1": (KL1, KL1), "K_s K_L1": (Ks, KL1)}, 0.5e-4
+    derived = [claim for claim in published.claims().values() if claim.kind == "derived"]
+    assert len(derived) == 3 + 3 + 4
+    for claim in derived:
+        name, i, j = re.fullmatch(r"(.*)\[(\d),(\d)\]", claim.key).groups()
+        x, y = (X[int(k) - 1] for X, k in zip(pairs[name], (i, j), strict=True))
+        tolerance = half * (np.abs(x).sum() + np.abs(y).sum() + len(x) * half)
+        assert claim.criterion == f"{x @ y:.8f} +- {tolerance:.8f}"

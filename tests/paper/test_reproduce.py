@@ -1,4 +1,3 @@
-import json
 import multiprocessing
 import os
 import re
@@ -27,7 +26,6 @@ def root(tmp_path, monkeypatch):
     folder.mkdir()
     (folder / "pyproject.toml").write_text('name = "rodlib"\n')
     (folder / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
-    shutil.copy(ROOT / "codecheck.yml", folder)
     (folder / "notebooks").mkdir()
     with monkeypatch.context() as patch:
         patch.setenv("RODLIB_RESULTS", str(folder / "made"))
@@ -51,23 +49,22 @@ APART = multiprocessing.get_context("forkserver")
 APART.set_forkserver_preload(["rodlib.paper.reproduce", "papermill"])
 
 
-def begin(root, *log):
+def begin(root):
     """A process of its own, as make starts it: the kernels' event loops end with it."""
-    process = APART.Process(target=to_files, args=(root, *map(str, log)))
+    process = APART.Process(target=to_files, args=(root,))
     process.start()
     return process
 
 
-def to_files(root, *log):
+def to_files(root):
     for number, name in ((1, "stdout"), (2, "stderr")):
         with open(root / name, "w") as file:
             os.dup2(file.fileno(), number)
-    reproduce.REPORT = next(root.glob("replay.ipynb"), reproduce.REPORT)
-    reproduce.main(root, *log)
+    reproduce.main(root)
 
 
-def run(root, *log):
-    process = begin(root, *log)
+def run(root):
+    process = begin(root)
     process.join()
     said = {name: (root / name).read_text() for name in ("stdout", "stderr")}
     return SimpleNamespace(returncode=process.exitcode, **said)
@@ -76,8 +73,8 @@ def run(root, *log):
 @pytest.mark.parametrize(
     ("cell", "message"),
     [
-        ("1 / x", "02-fails failed in cell [2]: ZeroDivisionError: division by zero\n"),
-        ("import os; os._exit(1)", "02-fails failed: Kernel died ("),
+        ("1 / x", "02-fails failed: division by zero\nSee "),
+        ("import os; os._exit(1)", "02-fails failed: Kernel died"),
     ],
 )
 def test_a_notebook_that_fails_is_named_and_nothing_is_published(root, cell, message):
@@ -90,7 +87,7 @@ def test_a_notebook_that_fails_is_named_and_nothing_is_published(root, cell, mes
     assert "old" in (root / "README.md").read_text()
 
 
-def test_a_second_run_is_refused_a_replay_is_not_and_after_a_kill_results_are_published(root, gate):
+def test_a_second_run_is_refused_and_after_a_kill_results_are_published(root, gate):
     """The first run waits in its notebook until it is killed.
 
     After it notebooks run in their folder, and nothing else is published than they made: neither an
@@ -98,13 +95,6 @@ def test_a_second_run_is_refused_a_replay_is_not_and_after_a_kill_results_are_pu
     """
     wait = "from pathlib import Path; Path('started').touch(); Path('../../gate').read_bytes()"
     write(root / "notebooks" / "02-waits.ipynb", wait)
-    write(root / "replay.ipynb", "from pathlib import Path; assert Path(log).exists()")
-    log = root / 'my "log" of $HOME, ~ & `x` #1.csv'  # which papermill hands over
-    signals = {"outputs": {"x": "mm"}, "controls": {"F": "N"}}
-    log.write_text(
-        f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {json.dumps(signals)}\n"
-        "trial,time,reference_x,v_x,u_F,y_x\n1,0.0,1.0,0.0,0.0,0.5\n"
-    )
     first = begin(root)
     try:
         while not (root / "notebooks" / "started").exists():
@@ -115,12 +105,9 @@ def test_a_second_run_is_refused_a_replay_is_not_and_after_a_kill_results_are_pu
         assert second.stderr == (
             f"make reproduce is already running in {root}: wait until it has ended\n"
         )
-        replay = run(root, log)
-        assert replay.returncode == 0, replay.stderr
     finally:
         first.kill()
         first.join()
-    assert (root / "build" / "replay" / "replay.ipynb").exists()
     assert not list(root.glob("figures/*.png"))
     (root / "notebooks" / "02-waits.ipynb").unlink()
     for stale in ("build/reproduce/figures", "build/figures"):
@@ -129,8 +116,8 @@ def test_a_second_run_is_refused_a_replay_is_not_and_after_a_kill_results_are_pu
     outcome = run(root)
     assert outcome.returncode == 0
     of_the_killed = r"\[IPKernelApp\] WARNING \| Parent appears to have exited, shutting down.\n"
-    assert re.fullmatch(f"({of_the_killed})?", outcome.stderr)
-    assert "01-model ... done, " in outcome.stdout
+    assert re.fullmatch(f"({of_the_killed})*", outcome.stderr)
+    assert "01-model ... done" in outcome.stdout
     changed = "figures/fig01.png, figures/ledger.csv, figures/ledger.md, README.md"
     assert outcome.stdout.splitlines()[-1] == f"different: {changed}"
     assert (root / "figures" / "fig01.png").read_bytes() == b"picture"

@@ -56,7 +56,7 @@ def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
     return get, lambda: names, names
 
 
-ROOMS = ("alternatives", "errors")
+ROOMS = ("errors",)
 __version__ = "0.1.0"  # as in pyproject.toml
 
 __getattr__, __dir__, __all__ = lazily(__name__, MODULES, ROOMS)

@@ -1,6 +1,5 @@
 # From the registry in __init__.py, by `make stubs`.
 
-from ilctools import alternatives as alternatives
 from ilctools import errors as errors
 from ilctools.alternatives import NormOptimal as NormOptimal
 from ilctools.errors import InfeasibleError as InfeasibleError

@@ -1,78 +1,19 @@
-"""Other learning filters than the paper's, for the same law (23).
+"""Norm-optimal learning, for the same law (23), and what it shares with a base of filters.
 
-What a design returns is a :class:`ilctools.filters.LearningOperator`, as a
-:class:`ilctools.LearningFilter` is: it goes where L goes. None needs a recursion of its own:
-between two trials the whole last trial is known, and a filter that is known by its response has
-the coefficients of the inverse transform, however far it reaches into the past and the future.
+It is a :class:`ilctools.filters.LearningOperator`, as a :class:`ilctools.LearningFilter` is: it
+goes where L goes.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft, rfftfreq
+from scipy.fft import irfft
 from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import SuperLU, splu
 
 from ilctools import arguments
-from ilctools.filters import LearningFilter, LearningOperator
 from ilctools.models import Model, balanced, frequency_response, sampled_plant
-
-SHORTEST, LONGEST = 2**12, 2**20  # samples of the transform, for an impulse response
-NEGLIGIBLE = 1e-9  # of its largest entry
-MOST = 0.999  # of its energy; half of the rest is left out at each end
-
-
-def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
-    """L(q) = (gain + slope (1 - 1/q) / Ts) q^ahead I: the error, and its slope, of a later sample.
-
-    The shift makes up for the delay of the plant; P-type learning has a slope of zero. S. Arimoto,
-    S. Kawamura and F. Miyazaki, Bettering operation of robots by learning, Journal of Robotic
-    Systems 1 (1984) 123-140.
-
-    Parameters
-    ----------
-    gain : float
-        Above zero, unit of w per unit of y.
-    slope : float
-        In the same unit times s.
-    ahead : int
-        Samples, one or more; two or more unless the slope is zero, since a filter (44) looks ahead.
-    channels : int
-    Ts : float
-        Sampling period, s.
-    """
-    gain = arguments.positive("gain", gain)
-    slope = arguments.number("slope", slope, "a finite number")
-    Ts = arguments.sampling_period("Ts", Ts)
-    ahead = arguments.whole("ahead", ahead, 2 if slope else 1)
-    coefficients = np.zeros(ahead)
-    coefficients[-1] = gain + slope / Ts
-    if slope:
-        coefficients[-2] = -slope / Ts
-    identity = np.eye(arguments.whole("channels", channels, 1))
-    return LearningFilter(identity[..., None] * coefficients, Ts)
-
-
-def gradient(P: Model, step: float) -> LearningFilter:
-    """L = step P^*, the adjoint of P: the plant with its time reversed, step P_N^T on N samples.
-
-    v moves against the gradient of ||e||^2 / 2, which is -P^* e. Without Q the rate is
-    max |1 - step sigma^2| over the singular values sigma of P, so that `step` must be below
-    2 / max sigma^2, and what P hardly passes is hardly learned. K. Furuta and M. Yamakita, The
-    design of a learning control system for multivariable systems, IEEE International Symposium on
-    Intelligent Control (1987) 371-376. P is stable, in discrete time; the step is above zero.
-    """
-    step = arguments.positive("step", step)
-    sampled_plant(arguments.state_space("P", P), "P")
-    arguments.square("P", P.ninputs, P.noutputs)
-    arguments.stable("P", P.poles())
-
-    def response(omega):
-        return step * frequency_response(P, omega).conj().swapaxes(1, 2)
-
-    return finite_filter(response, P.dt)
 
 
 @dataclass(frozen=True)
@@ -198,49 +139,3 @@ def coefficients_of(response) -> np.ndarray:
     By its response at n / 2 + 1 frequencies, evenly from zero to the Nyquist frequency.
     """
     return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
-
-
-def finite_filter(response: Callable, Ts: float) -> LearningFilter:
-    """A learning filter by its response, which reaches into the past and the future at once.
-
-    Parameters
-    ----------
-    response : callable
-        From omega (rad/s), shape (n,), to L, shape (n, m, m).
-    Ts : float
-        Sampling period, s.
-
-    Returns
-    -------
-    LearningFilter
-        What is left out of its coefficients is below `NEGLIGIBLE`; if they do not decay, as of a
-        pole on the unit circle, or nearly, a ValueError says so.
-    """
-    arguments.instance("response", response, Callable)
-    Ts = arguments.sampling_period("Ts", Ts)
-    n = SHORTEST
-    while n <= LONGEST:
-        omega = rfftfreq(n, Ts / (2 * np.pi))
-        coefficients = np.moveaxis(coefficients_of(response(omega)), 0, -1)
-        size, reach = np.abs(coefficients).max(axis=(0, 1)), n // 4
-        if max(size[:reach].max(), size[-reach:].max()) <= NEGLIGIBLE * size.max():
-            return LearningFilter(coefficients[..., reach:-reach], Ts, first=-reach)
-        n *= 2
-    raise ValueError(
-        f"L has an impulse response that does not decay within {LONGEST // 4} samples: a pole, "
-        "which for an inverse is a zero of P, is on the unit circle or next to it. Take a design "
-        "with a weight on v, such as NormOptimal"
-    )
-
-
-def extent(L: LearningOperator) -> tuple[int, int]:
-    """How far a learning filter looks ahead and back, in samples, with nearly all of its energy.
-
-    Either is below zero if the filter begins later than that.
-    """
-    arguments.instance("L", L, LearningOperator)
-    finite = finite_filter(L.frequency_response, L.Ts)
-    energy = np.cumsum((finite.coefficients**2).sum(axis=(0, 1)))
-    share = np.array([1 - MOST, 1 + MOST]) / 2
-    first, last = finite.first + np.searchsorted(energy, share * energy[-1])
-    return int(last), int(-first)

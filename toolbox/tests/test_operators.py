@@ -8,7 +8,6 @@ import pytest
 from plants import random_stable
 
 from ilctools import LearningFilter, NormOptimal, zero_phase_butterworth
-from ilctools.alternatives import gradient, pd_type
 from ilctools.base import RegularisedInverse
 
 RANDOM, SAMPLES, MIDDLE = np.random.default_rng(0), 400, 200
@@ -32,8 +31,6 @@ OPERATORS = {
     "inverse": INVERSE,
     "inverse of two models": RegularisedInverse(TWO_MODELS, 0.5, [1.0, 4.0]),
     "norm-optimal": NormOptimal(P, 0.25, SAMPLES),
-    "gradient": gradient(P, 0.3),
-    "PD": pd_type(0.5, 2.0, 3, 2, Ts),
 }
 
 

@@ -6,7 +6,6 @@ from rods import PRINTED
 from scipy.integrate import quad
 
 from ilctools import LearningFilter, convergence, rate
-from ilctools.alternatives import pd_type
 
 
 def matrices(P, q, L):
@@ -16,7 +15,7 @@ def matrices(P, q, L):
 
 def test_an_operator_on_other_channels_is_refused(loop, Q, omega):
     with pytest.raises(ValueError, match="L acts on 1 channels"):
-        rate(loop, Q, pd_type(0.3, 0.0, 2, 1, loop.Ts), omega)
+        rate(loop, Q, LearningFilter([[[0.3]]], loop.Ts), omega)
 
 
 def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q):

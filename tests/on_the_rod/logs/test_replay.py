@@ -82,7 +82,6 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     assert replayed.departure is replayed.following is replayed.simulated is None
     assert replayed.fit is not None and replayed.warnings == ()
     assert "the log does not name its law" in repr(replayed)
-    assert replayed.following_table is None
 
 
 def test_disturbances_that_are_not_in_the_model_are_named():

@@ -153,16 +153,6 @@ class Replay:
             return None
         return next_v(self.law, self.trials.v.values[-1], self.resets, parts_of(self.trials))
 
-    @property
-    def following_table(self) -> pd.DataFrame | None:
-        """The same as a table, the time in s and a column for each output, for ``.to_csv``."""
-        if self.law is None:
-            return None
-        time = self.trials.time.to_index()[: len(self.following)].rename("time (s)")
-        units = self.trials.output_unit.values
-        titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
-        return pd.DataFrame(self.following, time, [*titles])
-
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against the convergence of the trials."""
