@@ -16,10 +16,6 @@ WORDS = {
     # what warns
     "unmeasured": "Q is {value:.4g} {place}, where P is not known: no filter bounds M by {limit:g} "
     "there; lower the cut-off of Q, or measure further",
-    "scatter": "P scatters from line to line by {value:.2g} of its size (RMS): it is noisy, or the "
-    "lines are too far apart to show how it bends. Without a radius they count as exact, and what "
-    "is promised holds for them, not for the plant: pass the radius as `uncertainty`, or a record, "
-    "measured_response(log)",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
     "exp(-j omega t), then pass P.conj(), or in other units of omega?",
     "idle": "the filter leaves {value:.0%} of the error that counts",
