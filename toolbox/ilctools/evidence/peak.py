@@ -134,30 +134,36 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
     estimated between the frequencies, and assumed above P's last: on a dense grid and, near the
     level or above, at the tops of its crests; below only bounded.
     """
-    response, lowpass = problem.response, problem.lowpass
     peaks = {"proven": [], DEAF: [], "estimated": [], "assumed": []}
-    for k, model in enumerate(response.models):
-        if model is not None and isinstance(lowpass, ZeroPhaseButterworth):
-            peak = Peak(*peak_of_M(model, L, lowpass), k)
+    for k, model in enumerate(problem.response.models):
+        if model is not None and isinstance(problem.lowpass, ZeroPhaseButterworth):
+            peak = Peak(*peak_of_M(model, L, problem.lowpass), k)
             peaks["proven" if passes(model, L, peak) else DEAF].append(peak)
             if problem.radius is None:
                 continue
-
-        def sigma_M(omega, k=k):
-            (P, radius), Q = response.anywhere(k, omega), lowpass.frequency_response(omega)
-            of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-            return within_radius(P, Q, of_L, radius, level)
-
-        omega = dense_grid(response, k, L)
-        sigma = sigma_M(omega)
-        if len(top := tops(omega, sigma, NEAR * level)):
-            omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
-        known = omega <= response.omega[-1]
-        for how, there in (("estimated", known), ("assumed", ~known)):
-            if there.any():
-                at = np.where(there, sigma, -1).argmax()
-                peaks[how].append(Peak(float(sigma[at]), float(omega[at]), k))
+        for how, peak in estimated_peaks(problem, L, level, k):
+            peaks[how].append(peak)
     return {how: highest(found) for how, found in peaks.items() if found}
+
+
+def estimated_peaks(problem: Problem, L, level, k):
+    """Those of plant k between the frequencies and above P's last, and how they are known."""
+    response = problem.response
+
+    def sigma_M(omega):
+        (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
+        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
+        return within_radius(P, Q, of_L, radius, level)
+
+    omega = dense_grid(response, k, L)
+    sigma = sigma_M(omega)
+    if len(top := tops(omega, sigma, NEAR * level)):
+        omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
+    known = omega <= response.omega[-1]
+    for how, there in (("estimated", known), ("assumed", ~known)):
+        if there.any():
+            at = np.where(there, sigma, -1).argmax()
+            yield how, Peak(float(sigma[at]), float(omega[at]), k)
 
 
 def passes(P, L, peak) -> bool:

@@ -22,16 +22,11 @@ def first_error(P, angles, r) -> tuple[np.ndarray, np.ndarray]:
 
     However far apart the frequencies are, no narrow line is missed, and the traces of the power sum
     to the mean square of e_1. It is of the trial: what the loop does after its end does not count.
-    The weights are |E_1| d omega. `P`, (n, m, m),
-    and `r`, (time, m), are in the same units; beyond the ends of `angles` P is taken as there.
+    The weights are |E_1| d omega. `P`, (n, m, m), and `r`, (time, m), are in the same units; beyond
+    the ends of `angles` P is taken as there.
     """
-    N, length = len(r), FINER * len(r)
-    fine = np.linspace(0, np.pi, length // 2 + 1)
-    P = make_interp_spline(angles, P, k=1)(fine.clip(angles[0], angles[-1]))
-    R = rfft(r, length, axis=0)[..., None]
-    e = irfft((R - P @ R)[..., 0], length, axis=0)[:N]
-    E = rfft(np.pad(e, [(0, N // FADING), (0, 0)], mode="linear_ramp"), length, axis=0)
-    density = E[:, :, None] * E[:, None].conj() / (np.pi * N)
+    fine, E = error_spectrum(P, angles, r)
+    density = E[:, :, None] * E[:, None].conj() / (np.pi * len(r))
     up_to = cumulative_trapezoid(density, fine, axis=0, initial=0)
     edges = np.concatenate([[0], (angles[1:] + angles[:-1]) / 2, [np.pi]])
     power = np.diff(make_interp_spline(fine, up_to, k=1)(edges), axis=0)
@@ -42,6 +37,17 @@ def first_error(P, angles, r) -> tuple[np.ndarray, np.ndarray]:
             "a reference that is not zero, or a band"
         )
     return power, weights / weights.sum()
+
+
+def error_spectrum(P, angles, r):
+    """Angles from 0 to pi, and E there; behind its end e_1 fades along a straight line."""
+    N, length = len(r), FINER * len(r)
+    fine = np.linspace(0, np.pi, length // 2 + 1)
+    P = make_interp_spline(angles, P, k=1)(fine.clip(angles[0], angles[-1]))
+    R = rfft(r, length, axis=0)[..., None]
+    e = irfft((R - P @ R)[..., 0], length, axis=0)[:N]
+    faded = np.pad(e, [(0, N // FADING), (0, 0)], mode="linear_ramp")
+    return fine, rfft(faded, length, axis=0)
 
 
 def predicted_rms(problem, L) -> dict[int, float]:
