@@ -10,9 +10,9 @@ from concurrent.futures import ProcessPoolExecutor
 import cvxpy as cp
 import numpy as np
 import pytest
+from problems import statement
 
 from ilctools import synthesise, zero_phase_butterworth
-from ilctools.synthesis.statement import statement
 from rodlib import paper_choices, paper_loop
 from rodlib.specimens import Spread, draw, responses
 

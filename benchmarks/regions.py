@@ -15,7 +15,13 @@ from numpy.polynomial.polynomial import polyadd
 from runner import publish, run, table
 from scipy.signal import freqz, lfilter
 
-from ilctools import InfeasibleError, measured_response, rate, synthesise, zero_phase_butterworth
+from ilctools import (
+    InfeasibleError,
+    convergence,
+    measured_response,
+    synthesise,
+    zero_phase_butterworth,
+)
 from ilctools.errors import LogError
 from ilctools.signals import dataset
 
@@ -352,7 +358,7 @@ def designed(P, plants):
         L = synthesise(P, Q, omega, band=(low, 0.3), **DESIGN).filter
     except InfeasibleError:
         return False, False
-    return True, rate(response(plants, omega), Q, L, omega).gamma <= DESIGN["M_max"]
+    return True, convergence(response(plants, omega), Q, L, omega).gamma <= DESIGN["M_max"]
 
 
 def judged(kind, seed):

@@ -15,13 +15,13 @@ import control
 import numpy as np
 import pandas as pd
 from kinds import S, delay, resonance, sampled
+from problems import statement
 from runner import publish, run
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
-from ilctools.synthesis.statement import statement
 
 PROBLEMS = 550
 FAMILIES = (

@@ -158,7 +158,6 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
 
     See Also
     --------
-    Synthesis.plot : the singular values alone, on axes of yours
     try_out : a design with its trials
 
     Examples

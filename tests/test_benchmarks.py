@@ -112,7 +112,7 @@ def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkey
 
 
 def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, tmp_path):
-    """That all methods find the same filter, toolbox/tests/synthesis/test_statement.py tests."""
+    """That all methods find the same filter, toolbox/tests/test_base.py tests."""
     problem = bench_synthesis.paper_problem(60)
     memory = bench_synthesis._added_memory(bench_synthesis.structured, problem, {})
     assert 0 <= memory < 500

@@ -126,7 +126,6 @@ OWN = {
     ilctools.synthesise: {"P": LOOP, "reference": None, "band": (0.1, 1.0)},
     ilctools.least_gain: {"P": LOOP},
     DESIGN.check: {"P": LOOP},
-    ilctools.rate: {"P": LOOP},
     ilctools.convergence: {"P": LOOP},
     ilctools.replay: {"trials": RECORD},
     ilctools.read_table: {

@@ -4,11 +4,9 @@ from ilctools import errors as errors
 from ilctools.alternatives import NormOptimal as NormOptimal
 from ilctools.errors import InfeasibleError as InfeasibleError
 from ilctools.evidence.convergence import convergence as convergence
-from ilctools.evidence.convergence import rate as rate
 from ilctools.evidence.finite import trial_map as trial_map
 from ilctools.evidence.finite import trial_norm as trial_norm
 from ilctools.evidence.finite import trial_operators as trial_operators
-from ilctools.evidence.noise import converged_noise as converged_noise
 from ilctools.evidence.noise import trial_noise as trial_noise
 from ilctools.evidence.robustness import worst_case as worst_case
 from ilctools.filters import LearningFilter as LearningFilter

@@ -30,9 +30,8 @@ def test_trials_that_begin_and_end_at_rest_do_what_is_predicted(kind):
     choices = {"order": 15, "M_max": 0.95, "L_max": 1e3, "scale": 2.0 * amplitude}
     design = synthesise(loop, Q, omega, reference=reference, **choices)
     predicted = design.certificate.predicted
-    assert [*predicted] == OF_TRIAL
     trials = learned(loop, design, reference)
-    np.testing.assert_allclose([*predicted.values()], trials, rtol=1e-3)
+    np.testing.assert_allclose([predicted[k] for k in OF_TRIAL], trials, rtol=1e-3)
     assert f"{predicted[2]:.3g} in trial 2" in str(design)
 
 

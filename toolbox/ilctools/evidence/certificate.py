@@ -4,71 +4,62 @@
 :func:`certify` adds how far the filter is from the optimum of its design.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
-from ilctools.evidence.finite import trial_norm
+from ilctools.evidence.finite import settled_norm
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
-from ilctools.evidence.peak import CLOSE, Peak, estimated_peaks, highest, peak_of_L, proven_peaks
-from ilctools.evidence.prediction import predicted_rms
+from ilctools.evidence.peak import CLOSE, DEAF, Peak, highest, peak_of_L, peaks_of_M
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
-from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
+from ilctools.problem.problem import Problem, Solution
+from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import TIED, largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
 VIOLATION = 1e-9
+BELOW = np.nextafter(1, 0)  # of one, which is no longer monotone
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
 COARSE = 0.25
 FINE = 2000  # frequencies of the mean over the band
 LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
-DEAF = 1e-3  # of P L, where P passes nothing
-SETTLED = 0.02  # of a disturbance
-SHORTEST, LONGEST = 50, 1000  # samples of a trial; longer ones of several plants take seconds
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is known about a learning filter, by evidence independent of the solver."""
+    """What is known about a learning filter, by evidence independent of the solver.
+
+    Printed, it says what a user asks first; :attr:`details` has the numbers behind that.
+    """
 
     problem: Problem  # as stated
     grid: Problem  # at all frequencies at which it needed bounds
     filter: Filter  # in units of scale, as P is
     value: float  # the objective reached
     worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
-    # Peaks over all frequencies, without the radius: of the plants that are models, if Q is one,
-    # too; and between the frequencies of omega, within the radius, and of samples.
-    exact: list[Peak]
-    estimated: list[Peak]
-    beyond: Peak | None  # above the last sample, of the size that is assumed there
+    peaks: dict[str, Peak]  # the highest of sigma_max(M) by how it is known, see peaks_of_M
     grid_L: float  # peak of sigma_max(L) on the grid
     lower_bound: float = np.nan  # what no such filter within the bounds can go below
 
     @property
     def grid_M(self) -> float:
         """Peak of sigma_max(M) on the grid, the largest of all plants within the radius."""
-        return self.worst.sigma.max()
-
-    @property
-    def on_grid(self) -> Peak:
-        """The highest on the grid."""
-        plant, at = self.worst.tied[0]
-        return Peak(self.grid_M, self.grid.omega[at], plant)
+        return self.peaks["on the grid"].sigma
 
     @property
     def peak(self) -> Peak:
-        """The highest over all frequencies."""
-        return highest([*self.exact, *self.estimated])
+        """The highest over all frequencies at which P is known."""
+        return highest([peak for how, peak in self.peaks.items() if how != "assumed"])
 
     @property
     def all_M(self) -> float:
@@ -83,13 +74,12 @@ class Certificate:
     @property
     def proven(self) -> bool:
         """False if P or Q are samples, or there is a radius: `all_M` is then of a dense grid."""
-        return not self.estimated
+        return "estimated" not in self.peaks
 
     @property
     def highest_peak(self) -> Peak:
         """The highest of all that is proven, estimated or assumed, whatever the place."""
-        peaks = [self.on_grid, *self.exact, *self.estimated]
-        return highest(peaks if self.beyond is None else [*peaks, self.beyond])
+        return highest([*self.peaks.values()])
 
     @property
     def rate(self) -> float:
@@ -98,40 +88,41 @@ class Certificate:
 
     @property
     def convergence(self) -> Convergence:
-        """Do the trials converge, on the worst of all plants?"""
-        problem, grid, beyond, L = self.problem, self.grid, self.beyond, self.filter
-        response = L.frequency_response(grid.omega)
-        on_grid = from_responses(grid.omega, grid.plants, grid.Q, response)
-        radii = [on_grid.spectral_radius.max()]
-        for peak in self.exact:  # between the frequencies, too
-            at = [peak.omega]
-            P, _ = problem.response.anywhere(peak.plant, at)
-            Q = problem.lowpass.frequency_response(at)
-            radii.append(from_responses(at, P, Q, L.frequency_response(at)).spectral_radius)
-        return replace(
-            on_grid,
-            sigma=self.worst.sigma,
+        """Do the trials converge, on the worst of all plants?
+
+        The spectral radius is that of the plants themselves, at the frequencies and the peaks.
+        """
+        problem = self.problem
+        omega = np.append(problem.omega, [peak.omega for peak in self.peaks.values()])
+        radius = self._at(omega, range(len(problem.plants))).spectral_radius.max()
+        assumed = self.peaks.get("assumed")
+        return Convergence(
+            problem.omega,
+            self.worst.sigma,
             gamma=self.rate,
             at=float(self.highest_peak.omega),
-            spectral_radius=float(max(radii)),
+            spectral_radius=float(radius),
             proven=self.proven,
-            uncertain=problem.radius is not None or (beyond is not None and beyond.sigma >= 1),
-            assumptions=self.assumptions,
+            uncertain=problem.radius is not None or (assumed is not None and assumed.sigma >= 1),
+            assumptions=problem.assumptions,
         )
+
+    def _at(self, omega, plants):
+        """How trials converge for some plants, by number, at any frequencies."""
+        problem = self.problem
+        P = np.array([problem.response.anywhere(k, omega)[0] for k in plants])
+        Q, L = (f.frequency_response(omega) for f in (problem.lowpass, self.filter))
+        return from_responses(omega, P, Q, L)
 
     @property
     def mean_M(self) -> float:
         """Of the nominal plant, see :meth:`.Convergence.mean`; NaN without a band."""
-        problem = self.problem
-        low, high = problem.objective.band or (0, 0)
-        if low <= 0:
+        band, omega = self.problem.objective.band, self.problem.omega
+        if band is None or band[0] <= 0:
             return np.nan
-        omega = problem.omega
-        if problem.proven:  # trapezia between coarse frequencies are not enough
-            omega = np.union1d(omega, np.geomspace(low, high, FINE))
-        (P, _), Q = problem.response.anywhere(0, omega), problem.lowpass.frequency_response(omega)
-        M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
-        return float(log_mean(largest_singular_values(M), omega, (low, high)))
+        if self.problem.proven:  # trapezia between coarse frequencies are not enough
+            omega = np.union1d(omega, np.geomspace(*band, FINE))
+        return float(log_mean(self._at(omega, [0]).sigma[0], omega, band))
 
     @cached_property
     def margins(self) -> Margins:
@@ -140,7 +131,7 @@ class Certificate:
 
     @property
     def predicted(self) -> dict[int, float] | None:
-        """RMS of the error in some trials, for the reference of the design; None without one."""
+        """RMS of the error, by trial, see :func:`.predicted_rms`; None without a reference."""
         return None if self.problem.objective.band else predicted_rms(self.problem, self.filter)
 
     @property
@@ -148,64 +139,38 @@ class Certificate:
         """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
         return (self.value - self.lower_bound) / self.grid.unit(self.value)
 
-    @cached_property
-    def deaf(self) -> bool:
-        """Whether the highest peak is where P passes nothing, and M is |Q| for any L."""
-        peak = highest(self.exact)
-        if not peak or peak.sigma < 1 - DEAF:
-            return False
-        P, _ = self.problem.response.anywhere(peak.plant, [peak.omega])
-        Q = self.problem.lowpass.frequency_response([peak.omega])
-        passed = np.linalg.svd(P[0])[1][-1] * self.all_L
-        return bool(passed < DEAF and peak.sigma <= Q[0] * (1 + CLOSE))
-
-    @property
-    def assumptions(self) -> tuple[str, ...]:
-        """What P and its radius rest on, and where they are of no use."""
-        if not self.deaf:
-            return self.problem.assumptions
-        at = highest(self.exact).omega
-        return (
-            *self.problem.assumptions,
-            f"P passes nothing at {at:.4g} rad/s: M is |Q| there for any L, and the error stays; "
-            f"at the frequencies omega it is {self.grid_M:.4g}",
-        )
-
     @property
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
-        problem, peak, beyond = self.problem, highest(self.exact), self.beyond
-        on_grid, anywhere = 1 + VIOLATION, 1 + CLOSE
+        problem, peaks, at = self.problem, self.peaks, self._place
         M_max, L_max = problem.M_max, problem.L_max or np.inf
-        claims = [
+        on_grid, anywhere = 1 + VIOLATION, 1 + CLOSE
+        claims = [  # values that may be this times their limit
             (1, Finding("gap", self.gap, GAP)),
-            (on_grid, Finding("M", self.grid_M, M_max, self._place(self.on_grid))),
+            (on_grid, Finding("M", self.grid_M, M_max, at(peaks["on the grid"]))),
             (on_grid, Finding("L", self.grid_L, L_max)),
         ]
         if problem.bounds.everywhere:
-            at = self._place(self.peak)
-            claims.append((anywhere, Finding("M everywhere", self.all_M, M_max, at)))
+            claims.append((anywhere, Finding("M everywhere", self.all_M, M_max, at(self.peak))))
             claims.append((anywhere, Finding("L everywhere", self.all_L, L_max)))
-        found = [claim for tolerance, claim in claims if claim.value > claim.limit * tolerance]
-        if peak and peak.sigma >= 1 and not self.deaf:
-            found.append(Finding("one or more", peak.sigma, 1, self._place(peak)))
-        if beyond and beyond.sigma >= 1 and not problem.findings:
-            found.append(Finding("beyond", beyond.sigma, 1, self._place(beyond)))
-        return found
+        codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
+        for how in codes.keys() & peaks:
+            claims.append((BELOW, Finding(codes[how], peaks[how].sigma, 1, at(peaks[how]))))
+        return [claim for times, claim in claims if claim.value > claim.limit * times]
 
     @property
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
-        found, M_max = [*problem.findings], problem.M_max
-        omega, P, sampled = response.omega, response.P[0], response.models[0] is None
-        if sampled and (ahead := lead(P, omega, response.Ts)) > LEAD:
-            found.append(Finding("lead", ahead, LEAD))
+        found = [*problem.findings]
+        if response.models[0] is None:
+            ahead = lead(response.P[0], response.omega, response.Ts)
+            found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
         if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:
             found.append(Finding("idle", self.value / problem.idle, IDLE))
-        code, known = ("between", M_max) if self.proven else ("samples", self.grid_M)
+        code, known = ("between", problem.M_max) if self.proven else ("samples", self.grid_M)
         passed = peak.sigma - known > COARSE * (1 - known)
-        if passed and not (self.proven and (self.failures or self.deaf)):
+        if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
             found.append(Finding(code, peak.sigma, known, self._place(peak)))
         return found
 
@@ -214,71 +179,67 @@ class Certificate:
         of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
-    @property
-    def trial_length(self) -> int:
-        """Samples of a trial with two ends of its own: ten times as long as the plants settle."""
-        models = self.problem.response.models
-        slowest = max(np.abs(P.poles()).max(initial=0) for P in models)
-        settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
-        return int(min(10 * settled + SHORTEST, LONGEST / self.problem.channels))
-
     @cached_property
-    def norm(self) -> float:
-        """The largest norm of such a trial of the plants; NaN unless they and Q are models."""
+    def trial(self) -> tuple[int, float]:
+        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models."""
         problem = self.problem
         if None in problem.response.models or isinstance(problem.lowpass, SampledQ):
-            return np.nan
-        trial = problem.lowpass, self.filter, self.trial_length
-        return max(trial_norm(P, *trial)[0] for P in problem.response.models)
-
-    @property
-    def gains(self) -> str:
-        """The cut-off of Q, the gain of L and the norm of a trial, in words."""
-        text = f"Q's cut-off {self.problem.lowpass.cutoff:.4g} rad/s, sigma_max(L) {self.all_L:.3g}"
-        if np.isnan(self.norm):
-            return text
-        return f"{text}, norm of a trial of {self.trial_length} samples {self.norm:.3g}"
+            return 0, np.nan
+        return settled_norm(problem.response.models, problem.lowpass, self.filter)
 
     def __repr__(self):
-        near = self.grid.omega[self.worst.sigma >= 0.99 * self.rate]
-        at = near.min() if near.size else self.highest_peak.omega
-        where = ", proven" if self.proven else f" {_span(self.problem.omega)}, estimated"
+        problem, peak = self.problem, self.highest_peak
+        near = self.grid.omega[self.worst.sigma >= 0.99 * peak.sigma]
+        at = np.append(near, peak.omega).min()
+        where = ", proven" if self.proven else f" {_span(problem.omega)}, estimated"
+        samples, norm = self.trial
+        gains = [f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s, sigma_max(L) {self.all_L:.3g}"]
+        gains += [f"norm of a trial of {samples} samples {norm:.3g}"] if samples else []
+        assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
         lines = [
             f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies{where}; largest "
             f"near {float(f'{at:.2g}'):g} rad/s",
-            *([repr(self.margins)] if self.rate < 1 or self.deaf else []),
-            self.gains,
-            "; ".join([self._reached(), *self._mean()]),
+            *([repr(self.margins)] if self.rate <= 1 + CLOSE else []),
+            ", ".join(gains),
+            "; ".join([self._limits(), *self._mean()]),
+            *(
+                f"P passes nothing {self._place(peak)}: M is |Q| for any L, and the error stays"
+                for how, peak in self.peaks.items()
+                if how == DEAF
+            ),
+            *(text for text in problem.assumptions if text not in assumed),
+            *(["assumptions: .certificate.details"] if assumed else []),
         ]
-        chosen, rests_on = self.problem.chosen, self.assumptions[len(self.problem.chosen) :]
-        known = [text for text in rests_on if not text.startswith("assumed: ")]
-        lines += ["chosen: " + "; ".join(chosen).replace("chosen: ", "")] if chosen else []
-        lines += ["; ".join([*known, "assumptions: .certificate.details"])] if rests_on else []
         return "\n".join([*lines, *self._against()])
 
     @property
     def details(self) -> str:
-        """All that is known, for print: bounds, peaks, and the optimum; on what it rests."""
-        problem, M, L = self.problem, f"sigma_max(M){self._whom()}", "sigma_max(L)"
-        first, last = problem.omega[[0, -1]]
-        facts = {
-            "M_max": problem.M_max,
-            f"{M}, on the design grid: {self._place(self.on_grid)}": self.grid_M,
-            "the same of the nominal plant": self.worst.peaks[0] if problem.robust else None,
-            f"{M}, at all frequencies, of models alone, proven": highest(self.exact),
-            f"{M}, {_span(problem.omega)}, on a dense grid, estimated": highest(self.estimated),
-            f"{M} at most, above {last:.4g} rad/s, assumed": self.beyond,
-            "L_max": problem.L_max,
-            f"{L} on the design grid": self.grid_L,
-            f"{L} at all frequencies": self.all_L,
-            "objective": self.value,
-            self._optimum(): None if np.isnan(self.lower_bound) else self.lower_bound,
-        }
-        values = {text: getattr(fact, "sigma", fact) for text, fact in facts.items()}
-        lines = [f"{value:<11.7g}{text}" for text, value in values.items() if value is not None]
-        if problem.response.sampled:
-            lines.append(f"unknown: below {first:.4g} rad/s, at resonances that no sample shows")
-        return "\n".join([*lines, *self._mean(), *self.assumptions, *self._against()])
+        """A table of numbers, and all that they rest on, for print.
+
+        The peaks of sigma_max(M) are for all plants within the radius: on the grid, which holds
+        omega and whatever needed bounds beside it; proven at all frequencies, of the plants that
+        are models, without the radius; estimated on a dense grid from the first to the last of
+        omega; assumed above the last sample. Below the first sample nothing is known, nor of
+        resonances that none shows.
+
+        The lower bound of the objective holds for any filter of this structure and order that
+        keeps the bounds on that grid, where they are lower than asked for because of what lies
+        between and above; with `base`, for any K with this B and a gain of `K_MAX` at most;
+        without L_max, up to a gain of `MOST_GAIN` of Q P L, see :mod:`.problem.problem`. It is NaN
+        where nothing was optimised.
+        """
+        problem, peaks = self.problem, self.peaks.items()
+        table = [
+            (problem.M_max, "M_max"),
+            *((peak.sigma, f"sigma_max(M), {how}, {self._place(peak)}") for how, peak in peaks),
+            (problem.L_max or np.inf, "L_max"),
+            (self.grid_L, "sigma_max(L), on the grid"),
+            (self.all_L, "sigma_max(L), at all frequencies"),
+            (self.value, "objective"),
+            (self.lower_bound, "lower bound of the objective"),
+        ]
+        lines = [f"{value:<13.7g}{what}" for value, what in table]
+        return "\n".join([*lines, *self._mean(), *problem.assumptions, *self._against()])
 
     def _against(self) -> list[str]:
         """Warnings and failures."""
@@ -295,51 +256,28 @@ class Certificate:
 
     def _mean(self) -> list[str]:
         """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
-        problem = self.problem
-        nominal = " of the nominal plant" if problem.robust else ""
-        if self.predicted:
-            trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
-            return [
-                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this reference, "
-                "without noise and the ends of a trial, which count if it is not long"
-            ]
-        if problem.objective.kind != "sum" or np.isnan(self.mean_M):
+        objective, mean, rms = self.problem.objective, self.mean_M, self.predicted
+        nominal = " of the nominal plant" if self.problem.robust else ""
+        if rms:
+            trials = ", ".join(f"{rms[k]:.3g} in trial {k}" for k in (1, 2, 3, 5, 10))
+            return [f"predicted RMS of the error{nominal}: {trials}"]
+        if objective.kind != "sum" or np.isnan(mean):
             return []
-        mean = f"{self.mean_M:.4f}" if self.mean_M >= 1e-4 else "below 0.0001"
-        return [
-            f"mean of sigma_max(M){nominal} over the band: {mean}, {_span(problem.objective.band)}"
-        ]
+        return [f"mean of sigma_max(M){nominal} over the band: {mean:.4f}, {_span(objective.band)}"]
 
-    def _reached(self):
+    def _limits(self):
         """Which bounds limit the optimum; without them, no other than the filter's size."""
-        problem, grid, bounds = self.problem, self.grid, []
+        problem, grid = self.problem, self.grid
         if np.isnan(self.lower_bound):
             return "L = B by its formula, K = 1: nothing was optimised"
-        if problem.objective.kind == "sum" and self.grid_M > grid.M_max * (1 - TIED):
-            bounds.append(f"M_max = {problem.M_max:g}")
-        if problem.L_max is not None and self.grid_L > grid.L_max * (1 - TIED):
-            bounds.append(f"L_max = {problem.L_max:g}")
+        reached = {"M_max": self.grid_M / grid.M_max, "L_max": self.grid_L / (grid.L_max or np.inf)}
+        limits = [f"{k} = {getattr(problem, k):g}" for k in reached if reached[k] > 1 - TIED]
         size = f"order = {problem.order}"
         if problem.base is not None:
             size += " of K in L = B K, by convex optimisation"
         elif problem.order < problem.delay:
             size += f" (P lags by {problem.delay} samples at the cut-off)"
-        if problem.structure == "diagonal" and problem.channels > 1:
-            size += ", diagonal"
-        return f"limited by {', '.join([*bounds, size])}"
-
-    def _optimum(self):
-        """What no other filter can go below, in words."""
-        problem = self.problem
-        gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
-        if problem.base is not None:
-            gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
-        lower = len(self.grid.omega) > len(problem.omega)
-        kept = ", of those whose bounds are kept lower at omega for what lies between and above"
-        return (
-            f"lower bound of the objective, of any {problem.structure} filter of order "
-            f"{problem.order}{gain}{kept if lower else ''}"
-        )
+        return f"limited by {', '.join([*limits, size])}"
 
 
 def _span(omega):
@@ -347,29 +285,30 @@ def _span(omega):
     return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
 
 
-def check(problem: Problem, L: Filter, grid: Problem | None = None) -> Certificate:
+def check(
+    problem: Problem, L: Filter, grid: Problem | None = None, lower_bound: float = np.nan
+) -> Certificate:
     """Find out what a filter, in units of `scale`, does to the plants of a problem.
 
     `grid` is the problem at further frequencies, too.
     """
     grid = grid or problem
     response, worst = L.frequency_response(grid.omega), worst_case(grid, L)
-    estimated, beyond = estimated_peaks(problem, L, worst.sigma.max())
+    (plant, at), *_ = worst.tied
+    on_grid = Peak(worst.sigma.max(), grid.omega[at], plant)
     return Certificate(
         problem,
         grid,
         L,
-        value=grid.objective.value(largest_singular_values(grid.M(response)), worst.sigma),
-        worst=worst,
-        exact=proven_peaks(problem, L),
-        estimated=estimated,
-        beyond=beyond,
-        grid_L=largest_singular_values(response).max(),
+        grid.objective.value(largest_singular_values(grid.M(response)), worst.sigma),
+        worst,
+        {"on the grid": on_grid} | peaks_of_M(problem, L, on_grid.sigma),
+        largest_singular_values(response).max(),
+        lower_bound,
     )
 
 
 def certify(problem: Problem, grid: Problem, solution: Solution) -> Certificate:
     """Find out what is true of a filter; nothing of the solution is trusted."""
     bound = lower_bound(grid, solution.U, solution.V, solution.cuts)
-    certificate = check(problem, problem.scaled_filter(solution.coefficients), grid)
-    return replace(certificate, lower_bound=bound)
+    return check(problem, problem.scaled_filter(solution.coefficients), grid, bound)

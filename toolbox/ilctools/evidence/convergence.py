@@ -6,7 +6,6 @@ error *converges*, though it may grow before. Both are about trials without ends
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,13 +16,6 @@ from ilctools.problem.problem import convergence_matrix
 from ilctools.response.door import response_of
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
-
-
-class Rate(NamedTuple):
-    """Lemma 1's gamma, the largest sigma_max(M), and the frequency (rad/s) where it is."""
-
-    gamma: float
-    omega: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +103,6 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
 
     See Also
     --------
-    rate : its gamma alone
     Synthesis.check : of a design, for another plant
 
     Examples
@@ -136,37 +127,11 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     return from_responses(omega, P, Q, L.frequency_response(omega))
 
 
-def rate(P, Q, L: LearningOperator, omega=None) -> Rate:
-    """The convergence rate: the gamma of Lemma 1, max sigma_max(M), and where it is.
-
-    Of trials without ends it is the most that one leaves of the error's distance to its limit, in
-    the 2-norm, if it is below one; the error itself may still grow. Parameters as for
-    :func:`convergence`; for several plants, both are arrays.
-
-    See Also
-    --------
-    convergence : with the spectral radius and the mean
-
-    Examples
-    --------
-    >>> import control
-    >>> import numpy as np
-    >>> from ilctools import LearningFilter, rate, zero_phase_butterworth
-    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
-    >>> gamma, at = rate(P, zero_phase_butterworth(2, 0.1, 1.0), L, np.geomspace(1e-3, 3, 50))
-    >>> round(float(gamma), 3), round(float(at), 3)
-    (0.201, 0.026)
-    """
-    result = convergence(P, Q, L, omega)
-    return Rate(result.gamma, result.at)
-
-
 def from_responses(omega, P, Q, L) -> Convergence:
     """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
     M = convergence_matrix(P, Q, L)
-    matrices = M.reshape(-1, *M.shape[-2:])
-    sigma = largest_singular_values(matrices).reshape(M.shape[:-2])
-    radius = spectral_radii(matrices).reshape(M.shape[:-2])
+    sigma = largest_singular_values(M.reshape(-1, *M.shape[-2:])).reshape(M.shape[:-2])
+    radius = np.abs(np.linalg.eigvals(M)).max(axis=-1)
     return Convergence(
         omega,
         sigma,
@@ -183,12 +148,3 @@ def log_mean(sigma, omega, band) -> float:
     place = np.log([low, *within, high])
     values = np.interp(place, np.log(np.maximum(omega, low / 2)), sigma)
     return np.trapezoid(values, place) / (place[-1] - place[0])
-
-
-def spectral_radii(M) -> np.ndarray:
-    """Largest modulus of an eigenvalue of each matrix, shape (n, m, m) to (n,)."""
-    if M.shape[1] != 2:
-        return np.abs(np.linalg.eigvals(M)).max(axis=1)
-    (a, b), (c, d) = np.moveaxis(M, 0, -1)  # in closed form ten times faster
-    root = np.sqrt(((a - d) / 2) ** 2 + b * c)
-    return np.maximum(np.abs((a + d) / 2 + root), np.abs((a + d) / 2 - root))

@@ -12,6 +12,8 @@ from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.signals import check_match
 
+SETTLED = 0.02  # of a disturbance
+SHORTEST, LONGEST = 50, 1000  # samples of a trial; longer ones of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps
 
 
@@ -124,7 +126,7 @@ def trial_norm(
     See Also
     --------
     trial_map : the map itself
-    rate : the same of trials without ends
+    convergence : the same of trials without ends
 
     Examples
     --------
@@ -148,6 +150,14 @@ def trial_norm(
     after = T.matvec(before)
     norm = float(np.linalg.norm(after))
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
+
+
+def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float]:
+    """Samples of a trial ten times as long as the plants settle, and its largest norm of them."""
+    slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
+    settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
+    samples = int(min(10 * settled + SHORTEST, LONGEST / L.channels))
+    return samples, max(trial_norm(P, Q, L, samples)[0] for P in plants)
 
 
 def _on_trial(f, samples, m):

@@ -53,7 +53,6 @@ from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LONG, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import frequency_response, schur_form
-from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
@@ -66,6 +65,7 @@ PARTS, PASSES = 16, 3
 MOST = 300_000  # frequencies in a pass: fewer passes, where a base of thousands of samples is flat
 CLOSE = 1e-6  # relative, by how much such a bound may be above the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
+DEAF, NOTHING = "where P passes nothing", 1e-3  # of P L
 DENSER = 10  # the grid between the samples, against theirs
 
 
@@ -126,41 +126,52 @@ class Peak:
     plant: int  # whose it is; of those that are tied, the first
 
 
-def proven_peaks(problem: Problem, L) -> list[Peak]:
-    """Of the plants that are models, proven; none if Q is not one."""
-    if not isinstance(problem.lowpass, ZeroPhaseButterworth):
-        return []
-    models = enumerate(problem.response.models)
-    return [Peak(*peak_of_M(P, L, problem.lowpass), k) for k, P in models if P is not None]
+def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
+    """The highest peaks by how they are known: "proven", "estimated" and "assumed", if there are.
 
-
-def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None]:
-    """Of samples, and of all plants within a radius: between the frequencies, and above P's last.
-
-    On a dense grid and, near the level or above, at the tops of its crests; below only bounded.
+    Proven is that of the plants that are models, without the radius, if Q is one, too; where P
+    passes nothing M is |Q| for any L, and that peak is named `DEAF` instead. Else it is
+    estimated between the frequencies, and assumed above P's last: on a dense grid and, near the
+    level or above, at the tops of its crests; below only bounded.
     """
-    response, inside, above = problem.response, [], []
-    of_models = problem.radius is not None or isinstance(problem.lowpass, SampledQ)
-    for k, model in enumerate(response.models):
-        if model is not None and not of_models:
-            continue  # it has a proof
+    peaks = {"proven": [], DEAF: [], "estimated": [], "assumed": []}
+    for k, model in enumerate(problem.response.models):
+        if model is not None and isinstance(problem.lowpass, ZeroPhaseButterworth):
+            peak = Peak(*peak_of_M(model, L, problem.lowpass), k)
+            peaks["proven" if passes(model, L, peak) else DEAF].append(peak)
+            if problem.radius is None:
+                continue
+        for how, peak in estimated_peaks(problem, L, level, k):
+            peaks[how].append(peak)
+    return {how: highest(found) for how, found in peaks.items() if found}
 
-        def sigma_M(omega, k=k):
-            (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
-            of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-            return within_radius(P, Q, of_L, radius, level)
 
-        omega = dense_grid(response, k, L)
-        sigma = sigma_M(omega)
-        top = tops(omega, sigma, NEAR * level)
-        if len(top):
-            omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
-        known = omega <= response.omega[-1]
-        for peaks, there in ((inside, known), (above, ~known)):
-            if there.any():
-                at = np.where(there, sigma, -1).argmax()
-                peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
-    return inside, highest(above)
+def estimated_peaks(problem: Problem, L, level, k):
+    """Those of plant k between the frequencies and above P's last, and how they are known."""
+    response = problem.response
+
+    def sigma_M(omega):
+        (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
+        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
+        return within_radius(P, Q, of_L, radius, level)
+
+    omega = dense_grid(response, k, L)
+    sigma = sigma_M(omega)
+    if len(top := tops(omega, sigma, NEAR * level)):
+        omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
+    known = omega <= response.omega[-1]
+    for how, there in (("estimated", known), ("assumed", ~known)):
+        if there.any():
+            at = np.where(there, sigma, -1).argmax()
+            yield how, Peak(float(sigma[at]), float(omega[at]), k)
+
+
+def passes(P, L, peak) -> bool:
+    """Whether P L passes something at a peak; else M is |Q| there, and no L makes it less."""
+    if not 1 - NOTHING <= peak.sigma <= 1 + CLOSE:
+        return True
+    [of_P], [of_L] = frequency_response(P, [peak.omega]), L.frequency_response([peak.omega])
+    return np.linalg.norm(of_P, -2) * np.linalg.norm(of_L, 2) > NOTHING
 
 
 def tops(omega, sigma, height) -> np.ndarray:
@@ -171,7 +182,7 @@ def tops(omega, sigma, height) -> np.ndarray:
     return (a + b) / 2 - left * (c - a) / (right - left) / 2
 
 
-def dense_grid(response: Response, number, L, times=DENSER) -> np.ndarray:
+def dense_grid(response: Response, number, L) -> np.ndarray:
     """Some frequencies for each of a response, and those that resolve the poles of L and a model.
 
     Of samples up to the Nyquist frequency, see :mod:`.response.response`.
@@ -185,13 +196,11 @@ def dense_grid(response: Response, number, L, times=DENSER) -> np.ndarray:
         further = further[further < last]
     else:
         further = np.append(further, np.nextafter(last, np.inf))
-    return np.union1d(subdivided(response.omega, times), further[further > first])
+    return np.union1d(subdivided(response.omega, DENSER), further[further > first])
 
 
-def highest(peaks: list[Peak]) -> Peak | None:
-    """The highest of some peaks, if any; of those that are tied, that of the first plant."""
-    if not peaks:
-        return None
+def highest(peaks: list[Peak]) -> Peak:
+    """The highest of some peaks; of those that are tied, that of the first plant."""
     sigma = max(peak.sigma for peak in peaks)
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     return replace(min(level, key=lambda peak: peak.plant), sigma=sigma)

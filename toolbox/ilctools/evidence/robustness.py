@@ -26,7 +26,6 @@ class WorstCase:
     """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
     sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta
-    peaks: np.ndarray  # (1 + others,): largest sigma_max(M) of each plant, Delta = 0
     tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the peak
 
 
@@ -73,15 +72,11 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-
-    def of_plants(radius):
-        return np.array([within_radius(P, problem.Q, response, radius, 0) for P in problem.plants])
-
-    nominal = of_plants(0)
-    sigma = nominal if problem.radius is None else of_plants(problem.radius)
+    radius = 0 if problem.radius is None else problem.radius
+    sigma = np.array([within_radius(P, problem.Q, response, radius, 0) for P in problem.plants])
     ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
     pairs = tuple((plant, frequency) for frequency, plant in ties)
-    return WorstCase(sigma.max(axis=0), nominal.max(axis=1), pairs)
+    return WorstCase(sigma.max(axis=0), pairs)
 
 
 def within_radius(P, Q, L, radius, level):

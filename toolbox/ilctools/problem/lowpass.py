@@ -35,8 +35,8 @@ class SampledQ:
 
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
     """The filter Q, or its samples on omega as one."""
-    butterworth = isinstance(Q, ZeroPhaseButterworth)
-    samples = Q.frequency_response(omega) if butterworth else Q
+    known = isinstance(Q, ZeroPhaseButterworth | SampledQ)
+    samples = Q.frequency_response(omega) if known else Q
     samples = arguments.array("Q", samples, (len(omega),), complex)
     if (largest := np.abs(samples).max()) > RIPPLE:
         raise ValueError(
@@ -48,4 +48,4 @@ def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
             f"Q turns the phase by up to {np.abs(np.angle(samples)).max():.2g} rad, as a filter "
             "does that runs in one direction only: pass |Q|^2 of it, or zero_phase_butterworth"
         )
-    return Q if butterworth else SampledQ(omega, samples.real)
+    return Q if known else SampledQ(omega, samples.real)

@@ -1,9 +1,6 @@
 """Stating a problem, each argument checked."""
 
-from dataclasses import replace
-
 import numpy as np
-from scipy.linalg import matrix_balance
 
 from ilctools import arguments
 from ilctools.base import base_of_models, base_of_samples
@@ -16,11 +13,8 @@ from ilctools.response.door import response_of
 from ilctools.response.response import ROUNDING
 from ilctools.singular_values import largest_singular_values
 
-UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
 LONGEST = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
-FEW = 0.1  # of the frequencies: a P that is singular at more of them has a wrong channel
-UNCOUPLED = 1e-6  # product of the gains between two channels, relative to that of their own
 
 
 def pose(
@@ -45,7 +39,7 @@ def pose(
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
     response = response_of(P, omega, Ts, uncertainty, scale, Q)
     lowpass = lowpass_of(Q, response.omega)
-    response, cutoff, chosen = _learnable(response, lowpass.cutoff), lowpass.cutoff, []
+    cutoff, chosen = lowpass.cutoff, []
     pooled = base == defaults.CHOOSE
     gain = _gain(response, cutoff, close=pooled)
     if base is not None and not pooled:
@@ -55,9 +49,6 @@ def pose(
     Q = lowpass.frequency_response(response.omega)
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
     bounds = _bounds(M_max, L_max, everywhere, gain, pooled, chosen)
-    chosen = [f"chosen: {text}" for text in chosen]
-    if scale is None:
-        chosen += _units(response)
     if base is not None:
         base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
@@ -95,20 +86,6 @@ def _base(response, lowpass, structure, share, L_max, reach):
         kind = f"a finite filter of {-base.first} samples each way"
     of = "all plants" if len(models) > 1 else "the plant"
     return base, f"L = B K, B of {of} with b = {b:.3g}, {why}, {kind}"
-
-
-def _units(response):
-    """What to say of channels whose units differ, as far as P shows it; of equal ones nothing."""
-    P = np.abs(response.P[0]).mean(axis=0)
-    coupled = UNCOUPLED * np.outer(P.diagonal(), P.diagonal()) < P * P.T  # in any units
-    _, (scale, _) = matrix_balance(P * coupled, permute=False, separate=True)
-    if scale.max() < UNEQUAL * scale.min():
-        return []
-    words = ", ".join(f"{unit:g}" for unit in scale / scale.min())
-    return [
-        f"without scale, one unit of each channel counts as equally large; scale = [{words}] would "
-        "make the outputs' responses to each other equal"
-    ]
 
 
 def _order(response, cutoff, order, base, chosen):
@@ -196,31 +173,23 @@ def _gain(response, cutoff, close):
     """The default bound on L."""
     # What is not known beyond its radius is not worth inverting.
     radius = 0 if response.radius is None else response.radius
-    smallest = np.maximum(_smallest_singular_values(response), radius)
+    smallest = np.maximum(_smallest_singular_values(response, cutoff), radius)
     return defaults.gain(cutoff, smallest, response.omega, close)
 
 
-def _learnable(response, cutoff):
-    """A response without the few frequencies at which P passes nothing, and M is |Q| for any L."""
-    values = np.linalg.svd(response.P[0], compute_uv=False)
-    singular = (values[:, -1] <= 1e-12 * values.max()) & (response.omega <= cutoff)
-    if not singular.any() or singular.mean() > FEW:
-        return response
-    where = ", ".join(f"{omega:.4g}" for omega in response.omega[singular])
-    text = f"P passes nothing at {where} rad/s: M is |Q| there for any L, and the error stays"
-    return replace(response.at(~singular), assumptions=(text, *response.assumptions))
-
-
-def _smallest_singular_values(response):
+def _smallest_singular_values(response, cutoff):
     """Of the nominal plant at each frequency, which must not be singular, shape (n,)."""
     omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
-    singular = np.flatnonzero(singular_values[:, -1] <= 1e-12 * singular_values[:, 0])
+    # in any direction, or altogether against what P passes elsewhere
+    size = np.where(omega <= cutoff, singular_values.max(), singular_values[:, 0])
+    singular = np.flatnonzero(singular_values[:, -1] <= 1e-12 * size)
     if singular.size:
         first = singular[0]
         raise ValueError(
             f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
             f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there. Does each "
             "output respond to an input, and each input act on an output? Channels in units that "
-            "differ by millions need scale"
+            "differ by millions need scale. If P passes nothing there, M is |Q| for any L: leave "
+            "such frequencies out"
         )
     return singular_values[:, -1]

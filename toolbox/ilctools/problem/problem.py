@@ -216,6 +216,7 @@ class Problem:
     def assumptions(self) -> tuple[str, ...]:
         """What was chosen by default, and what P, its radius and Q rest on between samples."""
         more, response, lost = [], self.response, self.unusable
+        chosen = [f"chosen: {'; '.join(self.chosen)}"] if self.chosen else []
         if isinstance(self.lowpass, SampledQ):
             last = np.abs(self.lowpass.samples[-1])
             more.append(f"assumed: Q is splined between its samples, and {last:.4g} above the last")
@@ -226,7 +227,7 @@ class Problem:
                 "rad/s, where the uncertainty ball contains singular plants; |Q|, below which "
                 f"sigma_max(M) cannot be, is up to {np.abs(self.Q[lost]).max():.4g} there"
             )
-        return (*self.chosen, *response.assumptions, *response.assumed, *more)
+        return (*chosen, *response.assumptions, *response.assumed, *more)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -4,6 +4,5 @@ M of (40) is affine in the coefficients of L. A bound on the largest singular va
 linear matrix inequality, one per frequency, and the problems are semidefinite programs.
 :mod:`~ilctools.synthesis.design` is the way through: state the problem, formulate it as a program,
 solve that by an interior-point method, and certify the result. The solver is not trusted: what is
-returned has a certificate. :mod:`~ilctools.synthesis.statement` is the paper's problem in CVXPY,
-to read and to compare with.
+returned has a certificate.
 """

@@ -9,7 +9,6 @@ import numpy as np
 
 from ilctools.evidence.robustness import within_radius
 from ilctools.problem.problem import Problem, Solution
-from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
 
@@ -46,6 +45,5 @@ def violated(problem, solution, limit, plant, frequency):
 
 def worst_sigma(problem, L, k, level):
     """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
-    if problem.radius is None:
-        return largest_singular_values(problem.M(L, k))
-    return within_radius(problem.plants[k], problem.Q, L, problem.radius, level)
+    radius = 0 if problem.radius is None else problem.radius
+    return within_radius(problem.plants[k], problem.Q, L, radius, level)

@@ -10,7 +10,6 @@ from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.filters import ZeroPhaseButterworth
-from ilctools.problem import defaults
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
@@ -55,7 +54,7 @@ def synthesise(
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
     one. Above Q's cut-off L only has to keep its bounds; how much noise it adds to v there,
-    :func:`converged_noise` says.
+    :func:`trial_noise` says.
 
     Parameters
     ----------
@@ -110,7 +109,8 @@ def synthesise(
     scale : array_like, shape (m,), optional
         What counts as equally large in each channel. Singular values, `L_max` and the certificate
         are then those of the channels divided by it, so that units do not matter. Default: ones;
-        the certificate says so if powers of two that differ by eight or more would balance P.
+        pass it where one unit of a channel is much less than one of another, or the filter is made
+        for the largest number alone.
     uncertainty : array_like, shape (n,), or float, optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact. One number is relative to
@@ -151,7 +151,8 @@ def synthesise(
         For each of the certificate's `warnings`: bounds passed between the frequencies by a quarter
         of 1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to
         one there, a filter that leaves nearly all of the error, a Q that no filter can make up for
-        where P is not known.
+        where P is not known. Samples that scatter as noise does are not noticed: without
+        `uncertainty` they count as exact.
 
     Raises
     ------
@@ -208,9 +209,10 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
     for cutoff in (highest, highest / 2):
         Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
         design = designed(pose(P, Q, base=base, **known, **choices), base)
-        if not design.certificate.norm >= 1:
+        samples, norm = design.certificate.trial
+        if not norm >= 1:
             break
-    text = f"chosen: Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
+    text = f"Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
     if Q.cutoff == lowest:
         warnings.warn(
             f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
@@ -218,32 +220,17 @@ def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis
             stacklevel=4,
         )
     problem = replace(design.problem, chosen=(text, *design.problem.chosen))
-    design = replace(design, certificate=replace(design.certificate, problem=problem))
-    if design.certificate.norm >= 1:
-        gains = design.certificate.gains
-        warnings.warn(f"{text}: {gains}: its ends may grow from trial to trial", stacklevel=4)
-    return design
+    certificate = replace(design.certificate, problem=problem)
+    if norm >= 1:
+        text += f": norm of a trial of {samples} samples {norm:.3g}: its ends may grow"
+        warnings.warn(f"{text} from trial to trial", stacklevel=4)
+    return replace(design, certificate=certificate)
 
 
 def designed(problem: Problem, base) -> Synthesis:
-    """L = B by default, if all bounds hold for it; else what the convex problem says.
-
-    Of K for P B; where that has no solution, of the paper's L.
-    """
-    if base != CHOOSE:
-        return certified(problem)
-    if (design := direct(problem)) is not None:
-        return design
-    try:
-        return certified(problem)
-    except (InfeasibleError, SolverError) as error:
-        n = len(problem.omega)
-        order = defaults.order(problem.lowpass.cutoff, problem.delay, problem.Ts, n)
-        *chosen, _ = problem.chosen  # that of B
-        try:
-            return certified(replace(problem, base=None, order=order, chosen=tuple(chosen)))
-        except (InfeasibleError, SolverError):
-            raise error from None
+    """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
+    design = direct(problem) if base == CHOOSE else None
+    return certified(problem) if design is None else design
 
 
 def direct(problem: Problem) -> Synthesis | None:
@@ -254,8 +241,8 @@ def direct(problem: Problem) -> Synthesis | None:
     zero = np.zeros((len(problem.omega), *one.shape))
     solution = Solution(one[..., None], zero, zero, largest=np.nan, iterations=0)
     certificate = check(problem, problem.scaled_filter(solution.coefficients))
-    beyond = certificate.beyond
-    if certificate.failures or (beyond and beyond.sigma > problem.M_max):
+    beyond = certificate.peaks.get("assumed")
+    if certificate.failures or (beyond is not None and beyond.sigma > problem.M_max):
         return None
     return result(problem, solution, certificate)
 
@@ -319,6 +306,7 @@ def _infeasible(problem) -> InfeasibleError:
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
+    longer += "" if problem.base is None else ", or one without B (pass its order)"
     raised = "M_max" if problem.L_max is None else "M_max or L_max"
     texts = "; ".join(problem.assumptions)
     return InfeasibleError(
@@ -336,11 +324,11 @@ def _infeasible(problem) -> InfeasibleError:
 
 def _obstacle(problem, nearest):
     """The plant and the frequency with the largest multiplier."""
-    size = np.linalg.norm(nearest.U, axis=(1, 2))
-    plant, frequency, cuts = 0, tied(size).argmax(), nearest.cuts
-    if cuts is not None:
-        of_cuts = np.linalg.norm(cuts.N, axis=(1, 2))
-        if of_cuts.max() >= size.max() * (1 - EQUAL):
-            most = tied(of_cuts).argmax()
-            plant, frequency = int(cuts.plant[most]), cuts.frequency[most]
-    return plant, float(problem.omega[frequency])
+    count, cuts = len(problem.omega), nearest.cuts
+    plant, at, size = np.zeros(count, int), np.arange(count), np.linalg.norm(nearest.U, axis=(1, 2))
+    if cuts is not None:  # equal ones first
+        of_cuts = (1 + EQUAL) * np.linalg.norm(cuts.N, axis=(1, 2))
+        plant, at = np.append(cuts.plant, plant), np.append(cuts.frequency, at)
+        size = np.append(of_cuts, size)
+    most = tied(size).argmax()
+    return int(plant[most]), float(problem.omega[at[most]])

@@ -7,6 +7,7 @@ for all.
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from ilctools.problem.grid import on_a_grid, part
 from ilctools.problem.problem import Problem, Solution
@@ -53,8 +54,7 @@ def _share(problem, solution):
 def _worst(share):
     """Where bounds are passed: at every crest, and at FEW other frequencies."""
     passed = np.flatnonzero(share > 1 + PASSED)
-    before, after = share[np.maximum(passed - 1, 0)], share[np.minimum(passed + 1, len(share) - 1)]
-    crest = (share[passed] >= before) & (share[passed] >= after)
+    crests, _ = find_peaks(np.pad(share, 1), height=1 + PASSED)
     chosen = np.zeros(len(share), bool)
-    chosen[passed[crest]] = chosen[passed[:: 1 + len(passed) // FEW]] = True
+    chosen[crests - 1] = chosen[passed[:: 1 + len(passed) // FEW]] = True
     return chosen

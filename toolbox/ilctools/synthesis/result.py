@@ -1,10 +1,8 @@
 """What comes of a synthesis: a filter with what is known about it, or why there is none."""
 
-import reprlib
 from dataclasses import dataclass
 from typing import Any
 
-import control
 import numpy as np
 
 from ilctools.evidence.certificate import Certificate, check
@@ -53,50 +51,9 @@ class Synthesis:
         return self.problem.Q if sampled else self.problem.lowpass
 
     @property
-    def Ts(self) -> float:
-        """The sampling period, s."""
-        return self.problem.Ts
-
-    @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega
-
-    @property
-    def M(self) -> control.FrequencyResponseData:
-        """M = Q (I - P L) at `omega`, of the channels divided by the problem's `scale`.
-
-        As are P and L: as python-control has them, without a sampling period, since of samples
-        with one it draws nothing. The picture is ``control.singular_values_response(M).plot()``.
-        """
-        return self._frd("M", self.problem.M(self.problem.L(self.solution)))
-
-    @property
-    def L(self) -> control.FrequencyResponseData:
-        """L at `omega`; of others, in the plant's units, ask `filter`."""
-        return self._frd("L", self.problem.L(self.solution))
-
-    @property
-    def P(self) -> control.FrequencyResponseData:
-        """P of the nominal plant at `omega`."""
-        return self._frd("P", self.problem.P)
-
-    def plot(self, **options) -> control.ControlPlot:
-        """Draw the singular values of M and L over frequency, as python-control does.
-
-        `options` are those of ``control.singular_values_plot``: `ax`, `dB`, `Hz`, ... With bounds,
-        coefficients and trials.
-        """
-        try:
-            return control.singular_values_response([self.M, self.L]).plot(**options)
-        except (AttributeError, TypeError) as error:
-            raise ValueError(
-                f"options = {reprlib.repr(options)} must be those of control.singular_values_plot: "
-                f"{error}"
-            ) from None
-
-    def _frd(self, name, response):
-        return control.frd(np.moveaxis(response, 0, -1), self.omega, None, name=name)
 
     def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
         """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`.
@@ -131,21 +88,14 @@ class Synthesis:
         Convergence
             Print it. `gamma` is the rate of Lemma 1, the worst of all plants; `spectral_radius`
             below one says that the trials converge all the same. For another Q than that of the
-            design: :func:`rate`.
+            design: :func:`convergence`.
         """
-        design, Q = self.problem, self.Q
+        design = self.problem
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        if isinstance(design.lowpass, SampledQ) and not (
-            np.shape(omega) == Q.shape and np.allclose(omega, self.omega, rtol=1e-9, atol=0)
-        ):
-            raise ValueError(
-                "omega must be the design frequencies, at which alone the samples of Q are "
-                "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
-            )
         problem = pose(
             P,
-            Q,
+            design.lowpass,
             omega,
             design.Ts,
             order=1,

@@ -10,13 +10,12 @@ from scipy.linalg import solve_discrete_lyapunov
 from ilctools import (
     Law,
     LearningFilter,
-    converged_noise,
     run_trials,
     synthesise,
     trial_noise,
     zero_phase_butterworth,
 )
-from ilctools.evidence.noise import Spectrum, TrialNoise
+from ilctools.evidence.noise import learned_noise
 
 pytestmark = [  # after an impulse, around another plant
     pytest.mark.filterwarnings("ignore:the error grows"),
@@ -37,37 +36,29 @@ def on_tanks():
 TRIALS, SAMPLES, AT = 60, 900, 400
 
 
-def after_one(loop, law, noise, disturbance, plant):
+def after_one(loop, law, noise, plant):
     """True and measured error of trials of which the first is disturbed, (kind, trial, time, m)."""
-    n, d = (
-        np.concatenate([x[None], np.zeros((TRIALS - 1, *x.shape))]) for x in (noise, disturbance)
-    )
-    e = run_trials(loop, law, 0 * noise, d, TRIALS, noise=n, plant=plant).e.values
+    n = np.concatenate([noise[None], np.zeros((TRIALS - 1, *noise.shape))])
+    e = run_trials(loop, law, 0 * noise, trials=TRIALS, noise=n, plant=plant).e.values
     return np.stack([e + n, e])
 
 
 def test_a_single_impulse_through_the_trials_has_the_predicted_rms(on_tanks):
     """For white noise the variance is the sum of squares of what one impulse does, ever after.
 
-    It is in the middle of the first trial, so that the ends of a trial do not matter. Of the
-    coloured disturbance it is one impulse behind the colouring filter.
+    It is in the middle of the first trial, so that the ends of a trial do not matter.
     """
     loop, law, omega = on_tanks
     plant, variance, power = altered(loop.plant, A=0.97), np.array([1.0, 4.0, 9.0]), 0
-    quiet, tail = np.zeros((SAMPLES, 3)), np.zeros((SAMPLES, 1))
     for impulse in np.diag(np.sqrt(variance)):
-        noise = quiet.copy()
+        noise = np.zeros((SAMPLES, 3))
         noise[AT] = impulse
-        power = power + after_one(loop, law, noise, tail, plant) ** 2
-    tail[AT:, 0] = 0.9 ** np.arange(SAMPLES - AT)
-    flows = after_one(loop, law, quiet, tail, plant) ** 2
-    psd = 1 / np.abs(1 - 0.9 * np.exp(-1j * omega[:, None] * loop.Ts)) ** 2
-    for disturbance, trials in ((None, power), (psd, power + flows)):
-        new = trial_noise(loop, omega, variance, disturbance, plant=plant)
-        for noise, errors in ((new, trials[:, :1]), (converged_noise(new, law), trials)):
-            predicted = [noise.true.rms, noise.measured.rms]
-            expected = np.sqrt(errors.sum(axis=(1, 2)))
-            np.testing.assert_allclose(predicted, expected, rtol=2e-3)
+        power = power + after_one(loop, law, noise, plant) ** 2
+    for known, errors in ((None, power[:, :1]), (law, power)):
+        noise = trial_noise(loop, omega, variance, law=known, plant=plant)
+        predicted = [noise.rms(), noise.rms("measured")]
+        expected = np.sqrt(errors.sum(axis=(1, 2)))
+        np.testing.assert_allclose(predicted, expected, rtol=2e-3)
 
 
 @given(st.integers(1, 4), st.integers(0, 9999), st.floats(0.01, 1))
@@ -75,16 +66,15 @@ def test_what_is_learned_solves_the_lyapunov_equation(m, seed, gain):
     rng = np.random.default_rng(seed)
     omega, Q = np.linspace(0.05, 3, 6), zero_phase_butterworth(1, 1.0, 1.0)
     L = LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
-    random = complex_normal(rng, 3, 6, m, m)
+    random = complex_normal(rng, 2, 6, m, m)
     change = 0.95 * random[0] / np.linalg.norm(random[0], 2, axis=(1, 2))[:, None, None]
     P = (np.eye(m) - change) @ np.linalg.inv(L.frequency_response(omega))
-    x, t = random[1:] @ random[1:].conj().swapaxes(2, 3)
-    spectra = [Spectrum(omega, 1.0, density) for density in (x, t, 0 * t)]
-    noise = converged_noise(TrialNoise(P, *spectra), Law(Q, L, gain=gain))
+    x = random[1] @ random[1].conj().swapaxes(1, 2)
+    found = learned_noise(P, Law(Q, L, gain=gain), omega, x)
     for i, q in enumerate(Q.frequency_response(omega)):
         PL = P[i] @ L.frequency_response(omega)[i]
         M = (1 - gain) * np.eye(m) + gain * q * (np.eye(m) - PL)
         added = (gain * q) ** 2 * PL @ x[i] @ PL.conj().T
         learned = solve_discrete_lyapunov(M, added)
         limit = 1e-8 * np.abs(learned).max()
-        np.testing.assert_allclose(noise.learned.density[i], learned, atol=limit)
+        np.testing.assert_allclose(found[i], learned, atol=limit)

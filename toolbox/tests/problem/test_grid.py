@@ -55,7 +55,7 @@ def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
     L = design.filter.frequency_response(DENSE)
     assert largest_singular_values(L).max() <= 4 * (1 + 1e-9)
     assert design.sigma_M.shape == design.omega.shape == (n,)
-    above, beyond = last < DENSE, design.certificate.beyond
+    above, beyond = last < DENSE, design.certificate.peaks["assumed"]
 
     def worst_M(omega):
         """The worst P of the size of the last sample turns L against I."""

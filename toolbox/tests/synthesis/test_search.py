@@ -49,8 +49,8 @@ def test_where_plants_differ_the_cutoff_is_lower_and_all_of_them_keep_M_max():
 
 def test_a_trial_that_grows_takes_half_the_cutoff_and_is_said(monkeypatch):
     once = synthesise(SLOW).problem.lowpass.cutoff
-    monkeypatch.setattr(Certificate, "norm", 1.5)
-    with pytest.warns(match=r"norm of a trial of \d+ samples 1.5: its ends may grow"):
+    monkeypatch.setattr(Certificate, "trial", (500, 1.5))
+    with pytest.warns(match=r"norm of a trial of 500 samples 1.5: its ends may grow"):
         assert synthesise(SLOW).problem.lowpass.cutoff == pytest.approx(once / 2, rel=0.05)
 
 

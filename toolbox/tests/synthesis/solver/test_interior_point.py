@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
 from plants import lag, random_response
-from problems import memory
+from problems import memory, statement
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
@@ -16,7 +16,6 @@ from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver import interior_point
-from ilctools.synthesis.statement import statement
 
 
 @pytest.mark.filterwarnings("ignore:the filter leaves", "ignore:.*between the frequencies omega")
