@@ -25,7 +25,6 @@ OMEGA, SIGNAL = np.linspace(0.1, 3, 12), np.zeros((6, 1))
 ASKED = {"P": LOOP, "Q": Q, "omega": OMEGA, "Ts": 1.0, "order": 2, "band": (0.1, 1.0)}
 ASKED |= {"M_max": 0.9, "L_max": 50.0, "structure": "full"}
 DESIGN = ilctools.synthesise(**ASKED | {"P": [P, 0.99 * P]})
-NOISE = ilctools.trial_noise(LOOP, OMEGA, 1.0)
 SPREAD = rodlib.Spread.of_all(0.1)
 SPECIMEN = rodlib.draw(SPREAD, 0)
 SHAKE = {"loop": PAPER, "lowest": 0.3, "highest": 1.0, "amplitude": 1.0, "hours": 0.1}
@@ -81,7 +80,7 @@ RIGHT = {
     "coefficients": L.coefficients, "rest": 1, "gain": 0.5,
     "channels": 1, "weight": 1.0, "lines": 3, "M_max": 0.9, "L_max": 50.0,
     "structure": "full", "e": xr.DataArray(SIGNAL, dims=("time", "channel")),
-    "sensor_psd": 1.0, "new": NOISE, "problem": DESIGN.problem,
+    "problem": DESIGN.problem,
     "rig": RIG, "excitation": EXCITATION,
 }  # fmt: skip
 

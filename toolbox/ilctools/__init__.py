@@ -18,7 +18,6 @@ MODULES = {
     "synthesis.search": "least_gain",
     "evidence.convergence": "convergence",
     "evidence.finite": "trial_map trial_norm trial_operators",
-    "evidence.noise": "trial_noise",
     "evidence.robustness": "worst_case",
     "alternatives": "NormOptimal",
     "trials.rms": "rms",

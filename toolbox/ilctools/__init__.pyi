@@ -7,7 +7,6 @@ from ilctools.evidence.convergence import convergence as convergence
 from ilctools.evidence.finite import trial_map as trial_map
 from ilctools.evidence.finite import trial_norm as trial_norm
 from ilctools.evidence.finite import trial_operators as trial_operators
-from ilctools.evidence.noise import trial_noise as trial_noise
 from ilctools.evidence.robustness import worst_case as worst_case
 from ilctools.filters import LearningFilter as LearningFilter
 from ilctools.filters import zero_phase_butterworth as zero_phase_butterworth

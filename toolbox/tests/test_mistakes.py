@@ -32,7 +32,6 @@ from ilctools import (
     state_sequence,
     synthesise,
     transfer,
-    trial_noise,
     trial_norm,
     zero_phase_butterworth,
 )
@@ -152,11 +151,6 @@ REFUSED = {  # what the error says, and a call
     "loop has no P": lambda: run_trials(ClosedLoop(Ts=1.0, outputs=["x"]), LAW, MOVE),
     "disturbance is not zero": lambda: run_trials(
         ClosedLoop(LAG, disturbances=["d"]), LAW, MOVE, MOVE
-    ),
-    # noise
-    "sensor_psd": lambda: trial_noise(TANKS, [0.1, 1.0], [1.0, -1.0, 0.0]),
-    "law does not converge": lambda: trial_noise(
-        CURRENT, [0.1, 1.0], 1.0, law=replace(LAW, L=replace(LAW.L, coefficients=[[[-1.0]]]))
     ),
     # a law
     "Q = samples": lambda: synthesise(P, Q.frequency_response(OMEGA), OMEGA, TS).law(),

@@ -54,7 +54,7 @@ def synthesise(
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
     one. Above Q's cut-off L only has to keep its bounds; how much noise it adds to v there,
-    :func:`trial_noise` says.
+    trials with noise say (:func:`run_trials`).
 
     Parameters
     ----------
