@@ -6,10 +6,9 @@ The plants P of a problem, in whose place stands, at each frequency omega, one o
 
 a gain g, a delay of d more samples, a plant slower by a in all, anything within a radius r: up to
 which g, d, a, r is sigma_max(Q (I - P L)) below one at all frequencies, for all plants?
-They are found on the design grid, P(a omega) on one spline through its values there, by steps
-outwards to the first that fails, and by Brent's method: two digits, where the grid resolves P and
-L. Beware of a mode that is narrower than a step of omega: it is not seen, and the margins are too
-large; pass an omega that resolves it. The search ends with ten times the gain, eight times the
+They are found on the design grid and where the modes of models are, on splines, by steps outwards
+to the first that fails, and by Brent's method: two digits. Of samples, a mode that is narrower than
+a step of omega is not seen. The search ends with ten times the gain, eight times the
 time, a turn of the phase. In g and r sigma_max is convex, so that there is one limit; and one below
 g = 1 only if Q is above one somewhere. Phase margins of ``control.stability_margins`` are those of
 a feedback loop, which v = Q (v + L e) is from trial to trial only.
@@ -24,11 +23,13 @@ from scipy.optimize import brentq
 
 from ilctools.evidence.robustness import within_radius
 from ilctools.problem.problem import Problem
+from ilctools.response.phase import phase_grid
 
 GAINS = np.geomspace(1, 10, 13)  # steps outwards; the last is where the search ends
 TIMES = np.geomspace(1, 8, 25)
 RADII = np.append(0, np.geomspace(1e-3, 10, 13))  # of sigma_max(P) at the cut-off
 TURN = np.linspace(0, 2 * np.pi, 33)  # of the phase at the cut-off, by a delay
+STEP = np.pi / 20  # of the phase of a model, from one frequency to the next
 ONE = 1 + 1e-9  # what rounding makes of one
 
 
@@ -53,16 +54,21 @@ class Margins:
 
 def margins(problem: Problem, L) -> Margins:
     """Those of a filter, in units of `scale`, for all plants of a problem at once."""
-    omega, Q, L = problem.omega, problem.Q, L.frequency_response(problem.omega)
-    cutoff, ends = problem.lowpass.cutoff, omega[[0, -1]]
-    P_at = CubicSpline(omega, problem.plants, axis=1)
+    response, cutoff, ends = problem.response, problem.lowpass.cutoff, problem.omega[[0, -1]]
+    modes = [model.poles() for model in response.models if model is not None]
+    grid = np.clip(phase_grid(modes, STEP) / problem.Ts, *ends) if modes else ends
+    omega = np.union1d(problem.omega, grid)
+    plants = [response.anywhere(k, omega)[0] for k in range(len(response.models))]
+    P_at = CubicSpline(omega, plants, axis=1)
+    Q_at, L_at = (CubicSpline(omega, X.frequency_response(omega)) for X in (problem.lowpass, L))
     unit = np.linalg.norm(P_at(np.clip(cutoff, *ends))[0], 2) or 1.0
 
     def sigma(gain=1.0, delay=0.0, slower=1.0, radius=0.0):
-        known = (slower * omega <= ends[1]) | (not problem.response.sampled)
-        turned = gain * np.exp(-1j * omega * delay * problem.Ts)[:, None, None]
-        plants = (turned * P_at(np.clip(slower * omega, *ends)))[:, known]
-        return max(within_radius(P, Q[known], L[known], radius * unit, 1.0).max() for P in plants)
+        at = np.union1d(omega, np.clip(omega / slower, *ends))
+        at = at[(slower * at <= ends[1]) | (not response.sampled)]
+        turned = gain * np.exp(-1j * at * delay * problem.Ts)[:, None, None]
+        Q, L, plants = Q_at(at), L_at(at), turned * P_at(np.clip(slower * at, *ends))
+        return max(within_radius(P, Q, L, radius * unit, 1.0).max() for P in plants)
 
     limit, samples = partial(_limit, sigma), TURN / (cutoff * problem.Ts)
     return Margins(
