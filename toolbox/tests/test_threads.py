@@ -1,7 +1,5 @@
 """The synthesis runs on one thread of BLAS, whatever the user has."""
 
-import threading
-
 import numpy as np
 import pytest
 from paper import paper_choices
@@ -41,21 +39,3 @@ def test_the_digits_are_those_of_one_thread(loop, Q, omega, monkeypatch):
             coefficients.append(design_of.filter.coefficients)
     np.testing.assert_array_equal(*coefficients)
     assert during == [{1}, {1}]
-
-
-def test_the_last_of_several_threads_restores_what_there_was():
-    """The second comes in while the first one runs, and stays longer."""
-    inside, gone, during = threading.Event(), threading.Event(), []
-
-    def second():
-        inside.set()
-        gone.wait()
-        during.append(threads())
-
-    with threadpool_limits(2, "blas"):
-        before = threads()
-        late = threading.Thread(target=on_one_thread(second))
-        on_one_thread(lambda: (late.start(), inside.wait()))()
-        gone.set()
-        late.join()
-        assert threads() == before and during == [{1}]
