@@ -17,7 +17,7 @@ MODULES = {
     "rigs": "MISMATCHED RestartingRig RigParameters VirtualRig",
     "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
     "specimens": "Specimen Spread draw responses",
-    "boards": "TemperatureControlLab fit_heat_balance heat_balance",
+    "boards": "TemperatureControlLab heat_balance",
     "workbench": "open_workbench plot try_out",
 }
 

@@ -1,7 +1,6 @@
 # From the registry in __init__.py, by `make stubs`.
 
 from rodlib.boards import TemperatureControlLab as TemperatureControlLab
-from rodlib.boards import fit_heat_balance as fit_heat_balance
 from rodlib.boards import heat_balance as heat_balance
 from rodlib.case import assumed_disturbance as assumed_disturbance
 from rodlib.case import assumed_reference as assumed_reference

@@ -98,7 +98,6 @@ FURTHER = {
     SPREAD.specimen: {"deviations": [np.zeros(9)]},
     rodlib.responses: {"specimens": [[], [Rod()]], "loop": [LOOP]},
     rodlib.RigParameters: {"modes": [10_001]},
-    rodlib.fit_heat_balance: {"readings": [np.ones((20, 2))]},
     ilctools.LearningFilter: {"first": [10**7]},
     ilctools.trial_norm: {"rest": [6]},
     ilctools.read_table: {"time": ["none"], "inputs": [{"u": "none"}]},
