@@ -33,20 +33,9 @@ class Excitation:
     Ts: float  # s
     period: int  # samples
     periods: int  # of each experiment that are evaluated
-    harmonics: tuple[int, ...]  # of the period, increasing
-    phases: tuple[tuple[tuple[float, ...], ...], ...]  # rad, of (realisation, input, harmonic)
-    amplitude: tuple[float, ...]  # largest |w| of each input, in the units of the outputs
-
-    def __post_init__(self):
-        arguments.sampling_period("Ts", self.Ts)
-        arguments.whole("periods", self.periods, 2)
-        amplitude = arguments.array("amplitude", self.amplitude, ("input",))
-        shape = ("realisation", len(amplitude), len(self.harmonics))
-        phases = arguments.array("phases", self.phases, shape)
-        arguments.whole("realisations", len(phases), FEWEST)
-        rows = tuple(tuple(map(tuple, inputs)) for inputs in phases.tolist())
-        amplitude = tuple(arguments.positive("amplitude", value) for value in amplitude)
-        vars(self).update(harmonics=tuple(self.harmonics), phases=rows, amplitude=amplitude)
+    harmonics: list[int]  # of the period, increasing
+    phases: list[list[list[float]]]  # rad, of (realisation, input, harmonic)
+    amplitude: list[float]  # largest |w| of each input, in the units of the outputs
 
     @property
     def channels(self) -> int:
@@ -187,7 +176,7 @@ def _divided(hours, cycle, realisations, lowest):
 def _envelopes(phases, harmonics, period):
     """The sums of exp(j (2 pi h t / period + phase)) over a period, (..., time)."""
     spectrum = np.zeros((*phases.shape[:-1], period), complex)
-    spectrum[..., list(harmonics)] = np.exp(1j * phases)
+    spectrum[..., harmonics] = np.exp(1j * phases)
     return period * np.fft.ifft(spectrum)
 
 

@@ -209,5 +209,5 @@ def _spectra(signal, excitation):
     """At the lines, shape (realisation, period, n, channel, experiment)."""
     m = excitation.channels
     parts = signal.reshape(-1, m, excitation.periods, excitation.period, m)
-    lines = np.fft.rfft(parts, axis=3)[:, :, :, list(excitation.harmonics)]
+    lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
     return np.moveaxis(lines, 1, -1)
