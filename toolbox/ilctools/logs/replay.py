@@ -18,9 +18,10 @@ from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.models import state_sequence
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import next_v
-from ilctools.trials.recorded import outputs_of, parts_of, runs
+from ilctools.trials.recorded import parts_of, runs
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
@@ -99,7 +100,14 @@ class Replay:
             return None
         actuators = self.law and self.law.actuators
         known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
-        outputs = [outputs_of(self.model, self.loop, actuators, run) for run in runs(known)]
+        model, outputs = self.model, []
+        for run in runs(known):
+            applied = run.get("applied", self.loop.asked(run))
+            if actuators is not None:
+                applied = actuators.follow(applied)
+            inputs = np.hstack([applied, run["disturbance"]])[:, : model.ninputs]
+            x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
+            outputs.append(x @ model.C.T + inputs @ model.D.T)
         return np.reshape(outputs, known.y.shape)
 
     @property
