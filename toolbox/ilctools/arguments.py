@@ -79,12 +79,8 @@ def choice(name: str, value, options: Sequence[str]) -> str:
 def instance(name: str, value, kind):
     """An object of the given class, or of one of a union."""
     if not isinstance(value, kind):
-        holds = isinstance(getattr(value, "filter", None), kind)
-        remedy = f", which is its attribute: pass {name}.filter" if holds else ""
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
-        if callable(getattr(value, words.lower(), None)):  # a design makes a Law
-            remedy = f", which it makes: pass {name}.{words.lower()}()"
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{remedy}")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}")
     return value
 
 
@@ -206,15 +202,12 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
-        why = "has it rows of different lengths?"
-        if hasattr(value, "data_vars"):
-            why = f"it is a Dataset: pass one of its variables, {', '.join(map(str, value))}"
-        raise ValueError(f"{name} must be an array of numbers, but is none; {why}") from None
-    if plain.dtype.kind not in "iufc":
-        remedy = f": pass its attribute {name}" if hasattr(value, name) else ""
         raise ValueError(
-            f"{name} holds values of type {plain.dtype}, but must hold numbers{remedy}"
-        )
+            f"{name} must be an array of numbers, but is none: has it rows of different lengths, "
+            "or is it a Dataset?"
+        ) from None
+    if plain.dtype.kind not in "iufc":
+        raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
     _check_shape(name, plain.shape, tuple(shape))
@@ -227,20 +220,16 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
 
 
 def _check_shape(name, sizes, shape):
-    """Refuse an array of another shape; the error says how one laid out otherwise is passed."""
+    """Refuse an array of another shape."""
     trailing, wanted = sizes, shape
     if wanted and wanted[0] is Ellipsis:
         wanted = wanted[1:]
         trailing = sizes[max(0, len(sizes) - len(wanted)) :]
     if _fits(trailing, wanted):
         return
-    words, hint = ", ".join("..." if size is Ellipsis else str(size) for size in shape), ""
+    words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
     words += "," if len(shape) == 1 else ""
-    if len(trailing) == len(sizes) > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
-        hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
-    elif _fits(sizes + (more := (1,) * (len(wanted) - len(sizes))), wanted):
-        hint = f": of one channel, pass {name}.reshape({sizes + more})"
-    raise ValueError(f"{name} has shape {sizes}, but must have shape ({words}){hint}")
+    raise ValueError(f"{name} has shape {sizes}, but must have shape ({words})")
 
 
 def _fits(sizes, wanted):
@@ -269,12 +258,10 @@ def row(name: str, value, dtype: type = float) -> np.ndarray:
 def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
     """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
     omega = up_to_nyquist(name, array(name, value, ("frequency",)), Ts)
-    falls = np.flatnonzero(np.diff(omega) <= 0)
-    if len(omega) < 2 or len(falls):
-        rows = [f": row {k + 1} is not above row {k}; sort them, and those of P" for k in falls]
+    if len(omega) < 2 or np.any(np.diff(omega) <= 0):
         raise ValueError(
-            f"{name}, of shape {omega.shape}, must be a row of increasing frequencies"
-            + "".join(rows[:1])
+            f"{name}, of shape {omega.shape}, must be a row of increasing frequencies: sort them, "
+            "and those of P"
         )
     return omega
 

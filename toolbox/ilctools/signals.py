@@ -92,16 +92,9 @@ def dataset(
         for name in role_of:
             if role_of[name] == role and name in signals and len(names):
                 coordinates |= {role: (dimension, [*names]), f"{role}_unit": (dimension, labels)}
-                attributes = {"units": _unit(names, labels)}
+                attributes = {"units": ", ".join(dict.fromkeys(labels))}
                 variables[name] = (("trial", "time", dimension), signals[name], attributes)
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
-
-
-def _unit(names, labels):
-    """The unit of all channels, or "name: unit" for one after the other."""
-    if len(set(labels)) == 1:
-        return labels[0]
-    return ", ".join(f"{name}: {label}" for name, label in zip(names, labels, strict=True))
 
 
 def check_match(**parties) -> None:

@@ -63,7 +63,7 @@ def test_what_is_usual_is_not_noted(loop, Q, trials):
 
 @pytest.mark.parametrize(
     "note",
-    [{"L": "0"}, {"L": '{"coefficients": 3}'}, {"L": "[" * 9999}, {"Q": "{}"}, {"rest": "30"},
+    [{"L": "0"}, {"L": '{"coefficients": 3}'}, {"L": "[" * 9999}, {"Q": "{}"},
      {"rest": "soon"}, {"step": "NaN"}, {"actuators": '{"Q9": [0, 1]}'}],
 )  # fmt: skip
 def test_a_note_that_is_not_a_law_is_refused(loop, Q, trials, note):

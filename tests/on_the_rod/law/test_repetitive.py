@@ -118,17 +118,13 @@ def test_a_rig_that_never_rests_is_that_loop_and_its_log_replays(name, limited, 
     expected = asked(law, realised, e, 300)
     for pair in (sent, within), (y, readings), (sent, commands), (v, expected[:900]):
         assert_close(*pair, 1e-7)
-    assert again.agreement == "the recorded v is that of the law in every trial"
+    assert again.departure is None and "not checked" in again.agreement
     size = np.abs(v).max()
-    assert again.departure.to_numpy().max() < 1e-8 * size
     np.testing.assert_allclose(again.simulated.v, log.v, atol=1e-7 * size)
     # what follows, of which nothing is cut off yet
     following = again.following
     assert 0 < len(following) < 300
     np.testing.assert_allclose(following, expected[900:][: len(following)], atol=1e-7 * size)
-    changed = log.copy(deep=True)
-    changed.v[2, 290:] += 0.01 * size  # which the end of trial 3 must not be
-    assert "departs from the law from trial 3 on" in replay(changed).agreement
 
 
 @pytest.mark.parametrize(("name", "gain"), [("rod", 0.6), ("furnace", 1.0)])
@@ -210,9 +206,9 @@ def test_an_experiment_with_resets_does_not_go_on_without_and_learning_does(tmp_
         record(Rig(loop.plant), loop, law, r, trials=3, path=path)
     with warnings.catch_warnings(action="ignore"):  # a start is a disturbance
         log = record(Rig(loop.plant), loop, law, r, trials=3, **given)
-        again = replay(log)
     assert begun == [1, 3]
-    assert again.agreement == "the recorded v is that of the law in every trial"
+    v, _, _, e = lines(log)
+    assert_close(v, asked(law, v, e, 300)[: len(v)], 1e-7)
     assert np.abs(log.y[2, 0]).max() < 1e-12 < np.abs(log.y[1, 0]).max()
 
 

@@ -5,11 +5,10 @@ An excitation is noted by :mod:`ilctools.measurement.excitation`.
 
 import json
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 
 import control
-import numpy as np
 import xarray as xr
 
 from ilctools import arguments
@@ -25,8 +24,6 @@ from ilctools.signals import Signals, check_match
 FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
 DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
 KEYS = ("Q", "L", *DEFAULTS)
-OF_FILES = {*KEYS, "format", "Ts", "note", "sections"}
-ROUNDING = 1e-12  # of the sections, on another machine
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 RESET = "reset"  # the note that says that there was none between trials, NO_RESET
 NO_RESET = "none: a trial starts where the last one ended"
@@ -86,29 +83,30 @@ def law_notes(law: Law) -> dict:
     """A law by the keys of its file; without L where that has no coefficients."""
     Q, L = law.Q, law.L
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
-    if L is None:
-        notes["L"] = None
-    elif isinstance(L, Filter):
-        B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
-        notes["L"] = {"coefficients": K.coefficients, "ends": K.ends}
-        if K.first != 1 or B is not None:
-            base = B and {"b": B.b, "scale": B.scale, "P": B.P}
-            notes["L"] |= {"first": K.first, "base": base}
+    if L is None or isinstance(L, Filter):
+        notes["L"] = L and _filter_note(L)
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
     return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
 
 
-def _law_from(notes, Ts):
+def _filter_note(L):
+    """A filter, with what was not there in the first format only where it is needed."""
+    B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
+    note = {"coefficients": K.coefficients, "ends": K.ends}
+    if K.first == 1 and B is None:
+        return note
+    return note | {"first": K.first, "base": B and {"b": B.b, "scale": B.scale, "P": B.P}}
+
+
+def _law_from(Ts, Q, L, rest, step, actuators):
     """The law that :func:`law_notes` noted."""
-    notes = DEFAULTS | notes
-    Q, L = ZeroPhaseButterworth(Ts=Ts, **notes["Q"]), notes["L"]
-    if L is not None:
-        L = {"base": None} | L
-        base = L.pop("base")
-        L = LearningFilter(Ts=Ts, **L)
-        if base is not None:
-            L = RegularisedInverse(**base | {"P": model_from(base["P"])}) @ L
-    return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
+    L = None if L is None else _filter_from(Ts, **L)
+    return Law(ZeroPhaseButterworth(Ts=Ts, **Q), L, rest, step, actuators)
+
+
+def _filter_from(Ts, base=None, **taps):
+    K = LearningFilter(Ts=Ts, **taps)
+    return K if base is None else RegularisedInverse(**base | {"P": model_from(base["P"])}) @ K
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
@@ -157,9 +155,8 @@ def law_of(trials: xr.Dataset) -> Law | None:
     loop = loop_of(trials)
     with reading("law"):
         notes = {key: json.loads(trials.attrs[key]) for key in KEYS if key in trials.attrs}
-        law = _law_from(notes, trials.attrs["Ts"])
+        law = _law_from(trials.attrs["Ts"], **DEFAULTS | notes)
         check_match(log=Signals.of_log(trials), law=law)
-        arguments.whole("rest", law.rest, 0, trials.sizes["time"] - 1)
         return law if loop is None else law.bound_to(loop)
 
 
@@ -180,7 +177,8 @@ def save_law(path, law: Law, note: str = "") -> None:
         scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
         gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
         the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
-        Other keys, and sections that are not those of Q, are refused where it is read.
+        Other keys are refused where it is read; of the sections, only docs/law.c checks that they
+        are those of Q: who changes Q by hand saves the law anew.
     law : Law
         L must be a LearningFilter, or B K of a design. The loop is not written.
     note : str
@@ -229,8 +227,10 @@ def load_law(path) -> Law:
     path = arguments.path("path", path)
     try:
         content = json.loads(regular(path).read_text(encoding="utf-8"))
-        law = _law_from(content, content["Ts"])
-        _check_file(content, law.Q)
+        content = {key: content[key] for key in content if key not in ("note", "sections")}
+        arguments.choice("format", content.pop("format"), FORMATS)
+        # a file without limits leaves them to the rig
+        return _law_from(**DEFAULTS | {"actuators": None} | content)
     except (OSError, *MISUNDERSTOOD) as error:
         raise ValueError(
             shortened(
@@ -238,14 +238,3 @@ def load_law(path) -> Law:
                 "ilctools.law_of(load_log(path))"
             )
         ) from None
-    # {} stands for no limits; a file without any leaves them to the rig
-    return law if law.limits else replace(law, limits=None)
-
-
-def _check_file(content, Q):
-    """Refuse a file with keys that would be without effect, or that is another in docs/law.c."""
-    if content.keys() - OF_FILES or content["format"] != FORMATS["first" in content["L"]]:
-        raise ValueError(f"format must be one of {FORMATS}, the keys {sorted(OF_FILES)}")
-    sections = arguments.array("sections", content["sections"], Q.sections.shape)
-    if not np.allclose(sections, Q.sections, ROUNDING, [0, 0, 0, 0, ROUNDING, ROUNDING]):
-        raise ValueError("sections are not those of Q, which save_law writes anew")

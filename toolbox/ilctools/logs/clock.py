@@ -4,7 +4,6 @@ A table has the columns trial and time (s) and is indexed by the rows of the fil
 each step is compared with Ts, and so is their mean.
 """
 
-import numpy as np
 import pandas as pd
 
 from ilctools.errors import LogError
@@ -12,7 +11,6 @@ from ilctools.errors import LogError
 EXACT = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ
 DRIFT = 0.01  # of Ts: by which the mean step may differ
-BACK = 0.5  # share of steps: a clock that counts down, not a trial that is not numbered
 ROUNDING = 2e-3  # of the mean step: by which rounding may change it
 
 
@@ -22,17 +20,17 @@ def steps_of(table: pd.DataFrame) -> pd.Series:
 
 
 def mean_step(table: pd.DataFrame) -> float:
-    """The mean step of a clock, lost rows apart, rounded as far as its steps scatter."""
+    """The mean step of a clock, with the fewest digits that its scatter leaves; NaN of no step."""
     steps = steps_of(table)
-    if (steps < 0).mean() > BACK:
-        raise LogError("time: the clock runs back within trials: sort the rows, or number trials")
-    steps = steps[steps > 0]
-    if steps.empty:
-        raise LogError("time: the clock stands still, or there are fewer than two rows: state Ts")
-    mean = steps.sum() / np.round(steps / steps.median()).sum()
-    slack = min(np.ptp(steps), ROUNDING * mean)
+    mean = float(steps.mean())
+    slack = min(steps.max() - steps.min(), ROUNDING * mean)
     rounded = (float(f"{mean:.{digits}e}") for digits in range(12))
     return next((Ts for Ts in rounded if abs(Ts - mean) <= slack), mean)
+
+
+def seconds(unit: str) -> float:
+    """How long a unit of time is; a ValueError for any other."""
+    return pd.Timedelta(1, unit).total_seconds()
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:

@@ -16,10 +16,9 @@ from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.errors import LogError, reading, shortened
 from ilctools.files import regular
-from ilctools.logs.clock import check_trials
+from ilctools.logs.clock import check_trials, seconds
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
 from ilctools.signals import dataset
-from ilctools.units import seconds
 
 # of pandas, which then warns of rows that are longer than the titles, and shifts no column
 OPTIONS = {"skipinitialspace": True, "index_col": False}

@@ -16,18 +16,17 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
-from ilctools.law.repetitive import repeated
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.models import state_sequence
 from ilctools.trials.diagnosis import diagnose
-from ilctools.trials.learn import applied_v, joined, next_v
-from ilctools.trials.recorded import outputs_of, parts_of, runs
+from ilctools.trials.learn import next_v
+from ilctools.trials.recorded import parts_of, runs
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
-EXPLAINED = 50.0  # %, of a fit below which another loop is the likelier one
 UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
 
 
@@ -54,11 +53,6 @@ class Replay:
         return self.trials.trial.values.tolist()
 
     @property
-    def sources(self) -> list[str]:
-        """Names of the disturbances that were recorded."""
-        return np.ravel(self.trials.coords.get("source", [])).tolist()
-
-    @property
     def complete(self) -> bool:
         """Whether all trials from 1 on are there."""
         return self.numbers == [*range(1, len(self.numbers) + 1)]
@@ -71,10 +65,8 @@ class Replay:
         return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
 
     @cached_property
-    def disturbance(self) -> np.ndarray | None:
+    def disturbance(self) -> np.ndarray:
         """What was recorded of the loop's disturbances, shape (trial, time, d); zero of others."""
-        if self.loop is None:
-            return None
         names = self.loop.disturbances
         if "disturbance" not in self.trials:
             return np.zeros((*self.trials.e.shape[:2], len(names)))
@@ -108,12 +100,22 @@ class Replay:
             return None
         actuators = self.law and self.law.actuators
         known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
-        outputs = [outputs_of(self.model, self.loop, actuators, run) for run in runs(known)]
+        model, outputs = self.model, []
+        for run in runs(known):
+            applied = run.get("applied", self.loop.asked(run))
+            if actuators is not None:
+                applied = actuators.follow(applied)
+            inputs = np.hstack([applied, run["disturbance"]])[:, : model.ninputs]
+            x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
+            outputs.append(x @ model.C.T + inputs @ model.D.T)
         return np.reshape(outputs, known.y.shape)
 
     @property
     def fit(self) -> pd.DataFrame | None:
-        """1 - ||y - y-hat|| / ||y - mean y|| by trial and output: 1 is a perfect prediction."""
+        """1 - ||y - y-hat|| / ||y - mean y|| by trial and output: 1 is a perfect prediction.
+
+        Below a half the loop is hardly that of the log, or what moves the output was not recorded.
+        """
         if self.predicted is None:
             return None
         y = self.trials.y.values
@@ -123,20 +125,18 @@ class Replay:
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:
-        """Largest distance of v from that of the law; NaN where the trial before is missing."""
-        if self.law is None:
+        """Largest distance of v from that of the law; NaN where the trial before is missing.
+
+        None without a law, and of trials without reset.
+        """
+        if self.law is None or not self.resets:
             return None
         v, parts = self.trials.v.values, parts_of(self.trials)
         expected = np.full_like(v, np.nan)
         if self.numbers[0] == 1 and BEGUN not in self.trials.attrs:
             expected[0] = 0
-        if self.resets or self.law.L is None:
-            for k in np.flatnonzero(np.diff(self.numbers) == 1):
-                expected[k + 1] = next_v(self.law, v[k], True, parts[: k + 1])
-        elif self.complete:
-            applied, e = applied_v(self.law, joined(parts)), np.concatenate(self.trials.e.values)
-            later = repeated(self.law, applied, e, len(v[0]), len(v[0]), len(e))
-            expected[1:] = later.reshape(expected[1:].shape)
+        for k in np.flatnonzero(np.diff(self.numbers) == 1):
+            expected[k + 1] = next_v(self.law, v[k], True, parts[: k + 1])
         return self._by_trial(np.abs(v - expected).max(axis=1))
 
     def _by_trial(self, values):
@@ -174,31 +174,35 @@ class Replay:
         """Whether the recorded v is that of the law, in words."""
         if self.law is None:
             return "the log does not name its law, by Q and L, and with limits the loop"
-        departure, v = self.departure, self.trials.v.values
-        different = departure > DIGITS * np.abs(v).max(axis=(0, 1))
-        if different.to_numpy().any():
-            number, name = different.stack().idxmax()
+        if not self.resets:
+            return "of trials without reset, the recorded v is not checked"
+        departure = self.departure
+        rounding = DIGITS * np.abs(self.trials.v.values).max(axis=(0, 1))
+        different = (departure > rounding).stack()
+        if different.any():
+            number, name = different.idxmax()
             unit = self.trials.output_unit.values[self.outputs.index(name)]
             amount = f"{departure.loc[number, name]:.1e} {unit}".strip()
             return f"v departs from the law from trial {number} on, by {amount} in {name}"
-        unchecked = ", ".join(map(str, departure.index[departure.isna().all(axis=1)]))
-        where = f", but in {unchecked}, without a trial before" if unchecked else " in every trial"
-        return f"the recorded v is that of the law{where}"
+        unchecked = departure.index[departure.isna().all(axis=1)].tolist()
+        where = f"but in {unchecked}, without a trial before" if unchecked else "in every trial"
+        return f"the recorded v is that of the law {where}"
 
     @property
     def omissions(self) -> list[str]:
         """What is left out, and why."""
         reasons = []
-        if self.model is None:
+        if self.simulated is None:
             reasons.append(
-                "simulation and prediction: the log does not name its loop, or that has no P"
+                "simulation: it needs the law, a loop with P, and all trials from 1 on, not "
+                f"{self.numbers}"
             )
-        elif self.predicted is None:
-            reasons.append("prediction: the model without feedback is unstable, or there is no u")
-        if not self.complete:
-            reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
-        simulated = self.sources if self.loop is None else self.loop.disturbances
-        if ignored := [name for name in self.sources if name not in simulated]:
+        if self.predicted is None:
+            reasons.append(
+                "prediction: it needs a loop whose model is stable without feedback, and u"
+            )
+        recorded = np.ravel(self.trials.coords.get("source", [])).tolist()
+        if ignored := sorted({*recorded} - {*getattr(self.loop, "disturbances", recorded)}):
             reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons
 
@@ -213,12 +217,6 @@ class Replay:
             mean = (100 * self.fit.mean()).round(1)
             fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
             lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
-            lines += [
-                f"WARNING: the loop explains {value:g} % of the motion of {name}: is it that of "
-                "the log, or does a disturbance move it that is not recorded?"
-                for name, value in mean.items()
-                if value < EXPLAINED
-            ]
         lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
 
@@ -281,8 +279,7 @@ def replay(trials: xr.Dataset) -> Replay:
     error = trials.reference - trials.y
     trials = trials.assign(e=error.assign_attrs(trials.y.attrs))
     law, loop = law_of(trials), loop_of(trials)
-    commands_known = isinstance(loop, ClosedLoop) or (loop is not None and "u" in trials)
-    if law is not None and law.limits and not commands_known:
+    if law is not None and law.limits and (loop is None or loop.asked(trials) is None):
         law = None  # whose projection cannot be computed
     result = Replay(trials, loop, law, resets=RESET not in trials.attrs)
     for text in result.warnings:

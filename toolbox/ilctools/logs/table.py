@@ -11,15 +11,15 @@ from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.errors import LogError
 from ilctools.files import regular
-from ilctools.logs.clock import mean_step
+from ilctools.logs.clock import mean_step, seconds
 from ilctools.logs.format import check_signals, few
 from ilctools.logs.reader import OPTIONS, about, numbers_in, trials_of
 from ilctools.signals import SIGNALS
-from ilctools.units import SECONDS, seconds
 
 SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
+ENDING = re.compile(r"(?:\b|_)([nuµm]?s|min|h)$")  # of a clock's title, "t_ms"
 
 
 def read_table(
@@ -40,7 +40,7 @@ def read_table(
     """Read a table that another program wrote, as a log.
 
     A column is named by its title, with or without the unit in brackets, or by its number from 0
-    on.
+    on. That two signals have one column is not refused.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def read_table(
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
         Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
-        by default s; or dates that pandas has parsed, as with the options
+        by default s, also of a "t_msec"; or dates that pandas has parsed, as with the options
         ``parse_dates=["t"], date_format="ISO8601"``. Without it, rows are `Ts` apart. State the
         unit of a clock that counts from 1970: often it is ms, us or ns.
     Ts : float, optional
@@ -107,15 +107,19 @@ def read_table(
     >>> log.attrs["Ts"], log.y.shape
     (0.5, (1, 3, 1))
     """
-    asked = _checked(
-        time,
-        outputs=outputs,
-        inputs=inputs,
-        reference=reference,
-        v=v,
-        disturbances=disturbances,
-        measured=measured,
-    )
+    asked = {
+        "outputs": outputs,
+        "inputs": inputs,
+        "reference": reference,
+        "v": v,
+        "disturbances": disturbances,
+        "measured": measured,
+    }
+    asked = {
+        argument: arguments.by_name(argument, columns, columns)
+        for argument, columns in asked.items()
+        if columns is not None
+    }
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
@@ -129,21 +133,8 @@ def read_table(
             notes = {"origin": f"read from {source.name}"}
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
-        return trials_of(table, signals, Ts or mean_step(table), notes)
-
-
-def _checked(time, **asked):
-    """The arguments that ask for columns."""
-    asked = {argument: columns for argument, columns in asked.items() if columns is not None}
-    for argument, columns in asked.items():
-        arguments.different(
-            f"names in {argument}", [*arguments.by_name(argument, columns, columns)]
-        )
-    titles = [time, *chain(*(columns.values() for columns in asked.values()))]
-    for name, title in asked["outputs"].items():
-        if titles.count(title) > 1:
-            raise ValueError(f"outputs[{name!r}] = {title!r} is another signal's column, too")
-    return asked
+        Ts = arguments.sampling_period("Ts", Ts or mean_step(table))
+        return trials_of(table, signals, Ts, notes)
 
 
 def _signals(frame, asked, units):
@@ -184,14 +175,10 @@ def _clock(frame, trial, time, unit, Ts):
         number += number.min() == 0
     if time is None:
         return number, Ts * number.groupby(number).cumcount()
-    moment = _in_seconds(*_column(frame, "time", time), unit)
+    column, titled = _column(frame, "time", time)
+    ending = ENDING.search(str(column.name))
+    unit = unit or titled or (ending[1] if ending else "s")
+    if column.dtype.kind == "M":  # dates
+        column, unit = (column - column.iloc[0]).dt.total_seconds(), "s"
+    moment = seconds(unit) * numbers_in(column)
     return number, moment - moment.groupby(number).transform("first")
-
-
-def _in_seconds(column, unit, stated):
-    """A clock in s, from dates or from numbers in a unit: as stated, in the title or at its end."""
-    if column.dtype.kind == "M":
-        return numbers_in((column - column.iloc[0]).dt.total_seconds())
-    last_word = re.split(r"[_\W]", str(column.name).lower())[-1]
-    unit = stated or unit or (last_word if last_word in SECONDS else "s")
-    return seconds(unit) * numbers_in(column)

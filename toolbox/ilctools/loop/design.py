@@ -4,7 +4,6 @@ Section III, (12)-(29): a state feedback, and an observer that also estimates th
 disturbance. The loop is what iterative learning control then acts on from trial to trial.
 """
 
-import reprlib
 import warnings
 from collections.abc import Sequence
 
@@ -13,7 +12,7 @@ from scipy.linalg import LinAlgWarning, block_diag, matrix_balance, schur, solve
 
 from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop
-from ilctools.models import Model, controls_first, sampled_plant, unreachable_modes
+from ilctools.models import Model, controls_first, sampled_plant
 
 
 def current_trial_loop(
@@ -52,8 +51,9 @@ def current_trial_loop(
     units : dict, optional
         Units of inputs and outputs, by name, for those who read the results.
     Qs, Rs : array_like, shapes (n, n), (m, m), optional
-        Weights of states and controls in (24). Default: C' S_y^-2 C and 0.05 S_u^-2, where S_y and
-        S_u hold the sizes on their diagonals; the paper's are all one.
+        Weights of states and controls in (24), of which the symmetric parts count. Default:
+        C' S_y^-2 C and 0.05 S_u^-2, where S_y and S_u hold the sizes on their diagonals; the
+        paper's are all one.
     Qo, Ro : array_like, shapes (n + m, n + m), (m, m), optional
         Weights of the estimation errors of states and outputs in (27). Default:
         diag(B S_u^2 B', 2 S_u^2) and S_y^2; without `sizes`, diag(I, 2I) and I as in the paper.
@@ -81,9 +81,8 @@ def current_trial_loop(
     m = plant.noutputs
     weights = _weights(plant, sizes, Qs, Rs, Qo, Ro)
     A, B, C = plant.A, plant.B[:, :m], plant.C
-    even = _even_coordinates(A, B, C)
-    _require_held(*_in_coordinates(even, A, B, C))
-    Ks, KL, N = _gains(A, B, C, *weights, coordinates=None if sizes is None else even)
+    even = None if sizes is None else _even_coordinates(A, B, C)
+    Ks, KL, N = _gains(A, B, C, *weights, coordinates=even)
     return CurrentTrialLoop(plant, Ks, KL, N, units)
 
 
@@ -118,12 +117,18 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
     Sy, Su = np.diag(large[:m]), np.diag(large[m:])
     B, C = plant.B[:, :m], plant.C
     spread = np.eye(n) if sizes is None else B @ Su**2 @ B.T
-    return (
-        _weight("Qs", C.T @ np.linalg.inv(Sy**2) @ C if Qs is None else Qs, n),  # (24)
-        _weight("Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True),
-        _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m),  # (27)
-        _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True),
-    )
+    weights = {
+        "Qs": (Qs, C.T @ np.linalg.inv(Sy**2) @ C),  # (24)
+        "Rs": (Rs, 0.05 * np.linalg.inv(Su**2)),
+        "Qo": (Qo, block_diag(spread, 2 * Su**2)),  # (27)
+        "Ro": (Ro, Sy**2),
+    }
+    for name, (asked, usual) in weights.items():
+        weight = usual if asked is None else arguments.array(name, asked, usual.shape)
+        weight = (weight + weight.T) / 2  # which is all that counts of it
+        if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():  # rounding
+            raise ValueError(f"{name} must be positive semidefinite")
+        yield weight
 
 
 def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
@@ -142,19 +147,6 @@ def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
     arguments.stable("the observer of Qo and Ro", np.linalg.eigvals(Aa - KL @ Ca))
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
     return Ks @ inverse, Ta @ KL, N
-
-
-def _weight(name, value, size, definite=False):
-    value = arguments.array(name, value, (size, size))
-    smallest = np.linalg.eigvalsh((value + value.T) / 2).min()
-    largest = np.abs(value).max()  # rounding counts against it, whatever the units
-    skew = np.abs(value - value.T).max() > 1e-6 * largest
-    if skew or smallest < -1e-12 * largest or (definite and smallest <= 0):
-        kind = "positive definite" if definite else "positive semidefinite"
-        raise ValueError(
-            f"{name} must be symmetric and {kind}, but is {reprlib.repr(value.tolist())}"
-        )
-    return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
 
 
 def _with_disturbance(A, B, C):
@@ -188,29 +180,8 @@ def _riccati(A, B, Q, R, weights):
     # LinAlgError is a ValueError, and not the only one
     except (ValueError, LinAlgWarning):
         raise ValueError(
-            f"{weights} leave the Riccati equation of this plant without a solution: a weight is "
-            "zero or too far from the other; the default ones fit the plant's units if `sizes` say "
-            "what counts as large"
+            f"{weights} leave the Riccati equation of this plant without a solution: an unstable "
+            "mode is out of reach of the controls, or not seen in the outputs; or the plant has a "
+            "zero at z = 1, so that some constant input leaves no trace in them; or a weight is "
+            "zero or too far from the other, where `sizes`, what counts as large, may help"
         ) from None
-
-
-def _require_held(A, B, C):
-    """Refuse a plant with an unstable mode that no gain holds."""
-    Aa, Ca = _with_disturbance(A, B, C)
-    for X, Y, what in ((A, B, "no control reaches"), (A.T, C.T, "no output shows")):
-        unstable = _unstable(X, Y)
-        if unstable.size:
-            z = np.real_if_close(unstable[:1])[0]  # complex by numpy 2.5, always
-            raise ValueError(f"plant has a mode at z = {z:.6g} that {what}: no gain holds it")
-    if _unstable(Aa.T, Ca.T).size:  # (A - I) x + B d = 0 and C x = 0 for a d that is not zero
-        raise ValueError(
-            "plant has a zero at z = 1: some constant input leaves no trace in the outputs, so no "
-            "loop holds them at a reference. Take as outputs what they are the differences of, or "
-            "other controls"
-        )
-
-
-def _unstable(A, B):
-    """The unstable modes that B does not reach."""
-    poles, _ = unreachable_modes(A, B)
-    return poles[np.abs(poles) > arguments.CIRCLE]

@@ -121,7 +121,12 @@ class ControlledRig:
         self.decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
         for name, value in self.decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
-        self.set_limits(law, stop, reference)
+        limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
+        self.limits = {name: limits[name] for name in self.commands if name in limits}
+        if law is not None and law.limits is None:
+            law = replace(law, limits=self.limits)
+        self.law, self.actuators = law, law and law.actuators
+        self.stop = stop_limits(stop, reference, loop, self.limits)
         self.size = reference.shape[:2]  # trials, samples
         self.clock, self.bring_back, self.leave_safe = (
             getattr(rig, name, None) for name in ("clock", "begin", "safe")
@@ -131,16 +136,6 @@ class ControlledRig:
         self.late = []  # by how much each sample of the trial is off the rig's clock, s
         self.place = ""  # trial and sample, for errors
         self.reset()
-
-    def set_limits(self, law, stop, reference) -> None:
-        """What commands are cut off at, by law or rig, and where the experiment stops."""
-        rig = self.rig
-        limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
-        self.limits = {name: limits[name] for name in self.commands if name in limits}
-        if law is not None and law.limits is None:
-            law = replace(law, limits=self.limits)
-        self.law, self.actuators = law, None if law is None else law.actuators
-        self.stop = stop_limits(stop, reference, self.loop, self.limits)
 
     def find_signals(self) -> None:
         """Which signals are sent, measured and recorded beside commands and outputs."""
@@ -155,7 +150,9 @@ class ControlledRig:
         names = loop.disturbances
         self.disturbed = [name for name in names if name in self.inputs]
         self.recorded = [name for name in names if name in self.inputs or name in measured]
-        self.measured = [name for name in self.recorded if name not in self.disturbed]
+        # what is measured, and as what it is recorded
+        self.signal_of = dict.fromkeys(set(self.recorded) - set(self.disturbed), "disturbance")
+        self.signal_of |= dict.fromkeys(self.reported, "u")
         self.positions = [self.inputs.index(name) for name in self.commands + self.disturbed]
 
     def reset(self) -> None:
@@ -231,7 +228,7 @@ class ControlledRig:
             signals["delta"] = self.rounded("delta", self.controller.delta)
             signals["u"] = commands = self.controller.command(w)
         elif self.reported:
-            signals["u"] = np.array([self.rounded("u", measured[name]) for name in self.reported])
+            signals["u"] = np.array([measured[name] for name in self.reported])
         self.check_stop(self.commands, commands)
         if self.actuators is not None:
             commands = self.actuators.follow(commands)
@@ -249,13 +246,12 @@ class ControlledRig:
 
     def read(self) -> tuple[np.ndarray, dict[str, float]]:
         """The outputs, and what else is measured; nothing is used before it is checked."""
-        also = self.measured + self.reported
-        y, measured = self.rig.read(), self.rig.measured if also else {}
-        y = _reading("reading", y, (len(self.outputs),))
-        values = {name: float(_reading(name, measured.get(name), ())) for name in also}
-        for name in self.measured:
-            values[name] = self.rounded("disturbance", values[name])
-        return y, values
+        y, measured = self.rig.read(), self.rig.measured if self.signal_of else {}
+        values = {
+            name: self.rounded(signal, float(_reading(name, measured.get(name), ())))
+            for name, signal in self.signal_of.items()
+        }
+        return _reading("reading", y, (len(self.outputs),)), values
 
     def check_stop(self, names, values) -> None:
         """Stop at what is beyond the limits of `stop`."""

@@ -159,8 +159,8 @@ class Experiment:
         alike = np.array_equal(trial["reference"][0], first["reference"][0])
         if self.rig.goes_on or trial is first or not alike:
             return ""
-        start, learns = self.start(), self.rig.law.L is not None
-        return start.missed(trial["y"]) or (start.away(trial["reference"]) if learns else "")
+        missed = self.start().missed(trial["y"])
+        return missed or (self.rig.law.L and self.start().away(trial["reference"]))
 
     def start(self) -> Start:
         """Where the first trial started."""

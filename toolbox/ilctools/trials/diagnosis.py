@@ -62,12 +62,6 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     dict
         The first warning of each kind: "growth" and "model".
     """
-    found = findings(trials, law, first, exact)
-    return {kind: WORDS[kind].format(**values) for kind, values in found.items()}
-
-
-def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) -> dict[str, dict]:
-    """The first finding of each kind, as numbers; `where`: in which outputs, if units differ."""
     if law.L is None:
         return {}
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
@@ -77,11 +71,11 @@ def findings(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
             found["model"] = _first_finding(differs, predicted(trials, law, P), first)
             if not found["model"]:
                 break
-    return {kind: values for kind, values in found.items() if values}
+    return {kind: WORDS[kind].format(**values) for kind, values in found.items() if values}
 
 
 def _first_finding(test, trials, first):
-    """What a test first finds of trials in succession, in the outputs of one unit."""
+    """What a test first finds of trials in succession, in the outputs of one unit, as numbers."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
     begins = [(k, since) for k, since in enumerate(successions(trials)) if first - 1 <= k > since]
     for channels in groups:
@@ -190,10 +184,15 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
     off = rms_by_octave(spread[k] - spread[before])  # by the radius of P
     promised = (rms_by_octave(free - effect[k]) + off) / size  # (2)
     measured = rms_by_octave(e[k]) / size
-    table = {"bound": bound, "predicted": promised, "measured": measured}
-    table["frequency"] = np.append(frequency[1:], np.pi) / law.Ts
-    table["excess"] = size * np.maximum(measured - np.maximum(bound, promised), 0)
-    return pd.DataFrame(table)
+    return pd.DataFrame(
+        {
+            "bound": bound,
+            "predicted": promised,
+            "measured": measured,
+            "frequency": np.append(frequency[1:], np.pi) / law.Ts,
+            "excess": size * np.maximum(measured - np.maximum(bound, promised), 0),
+        }
+    )
 
 
 def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
@@ -218,9 +217,12 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
         worst = significant.argmax()
         if significant[worst] > EXCESS * size[0]:
             channel = np.abs(came[worst] - 1).argmax()
-            names, numbers = trials.output.values, trials.trial.values
-            share = {"came": came[worst, channel], "output": names[channel]}
-            return {"trials": numbers[[before, k]], **share, **errors.loc[worst]}
+            return {
+                "trials": trials.trial.values[[before, k]],
+                "came": came[worst, channel],
+                "output": trials.output.values[channel],
+                **errors.loc[worst],
+            }
     return {}
 
 

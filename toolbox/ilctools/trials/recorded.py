@@ -1,13 +1,9 @@
-"""What trials were: their signals in parts, and what a model makes of what was applied."""
+"""What trials were: their signals in parts."""
 
-import control
 import numpy as np
 import xarray as xr
 
-from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET
-from ilctools.loop.closed import Loop
-from ilctools.models import state_sequence
 from ilctools.signals import SIGNALS
 from ilctools.trials.learn import Part, joined
 
@@ -22,18 +18,6 @@ def runs(trials: xr.Dataset) -> list[Part]:
     """The signals from one rest to the next: of each trial; without reset, of all as one."""
     parts = parts_of(trials)
     return [joined(parts)] if RESET in trials.attrs else parts
-
-
-def outputs_of(
-    model: control.StateSpace, loop: Loop, actuators: Actuators | None, run: Part
-) -> np.ndarray:
-    """Outputs (time, m) of a model from rest, by what was applied of commands, and disturbances."""
-    commands = loop.asked(run)
-    if actuators is not None and "applied" not in run:
-        commands = actuators.follow(commands)
-    inputs = np.hstack([run.get("applied", commands), run["disturbance"]])[:, : model.ninputs]
-    x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
-    return x @ model.C.T + inputs @ model.D.T
 
 
 def successions(trials: xr.Dataset) -> np.ndarray:

@@ -39,16 +39,10 @@ REFUSED = {  # what the error says, and a call
     ),
     "synthesise takes the table": lambda: ClosedLoop(P),
     # arrays laid out as theirs
-    "its last axis belongs first, as in np.moveaxis(P, -1, 0)": lambda: synthesise(
-        P.frdata, Q, OMEGA
-    ),
-    "its last axis belongs first, as in np.moveaxis(plant, -1, 0)": lambda: LOOP.frequency_response(
-        OMEGA, P.frdata
-    ),
-    "its last axis belongs first, as in np.moveaxis(signal, -1, 0)": lambda: DESIGN.filter.apply(
-        ROWS
-    ),
-    "pass P.reshape((60, 1, 1))": lambda: synthesise(SQUEEZED, Q, OMEGA),
+    "P has shape (2, 2, ": lambda: synthesise(P.frdata, Q, OMEGA),
+    "plant has shape (2, 2, ": lambda: LOOP.frequency_response(OMEGA, P.frdata),
+    "signal has shape (2, 30), but must": lambda: DESIGN.filter.apply(ROWS),
+    "P has shape (60,), but must": lambda: synthesise(SQUEEZED, Q, OMEGA),
     "as control.frd(log, omega, Ts)": lambda: measured_response(P.frdata),
     "z holds values of type": lambda: DESIGN.filter("here"),
 }
