@@ -80,7 +80,8 @@ def instance(name: str, value, kind):
     """An object of the given class, or of one of a union."""
     if not isinstance(value, kind):
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}")
+        of_design = f": pass {name}.law() or {name}.filter" if hasattr(value, "certificate") else ""
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{of_design}")
     return value
 
 

@@ -30,7 +30,7 @@ def mean_step(table: pd.DataFrame) -> float:
 
 def seconds(unit: str) -> float:
     """How long a unit of time is; a ValueError for any other."""
-    return pd.Timedelta(1, unit).total_seconds()
+    return pd.Timedelta(1, {"msec": "ms", "usec": "us"}.get(unit, unit)).total_seconds()
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:

@@ -19,7 +19,9 @@ from ilctools.signals import SIGNALS
 SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
-ENDING = re.compile(r"(?:\b|_)([nuµm]?s|min|h)$")  # of a clock's title, "t_ms"
+ENDING = re.compile(
+    r"(?:\b|_)([nuµm]?s|[um]?sec|min|h|seconds|minutes|hours|days)$"
+)  # of a clock's title, "t_ms"
 
 
 def read_table(
