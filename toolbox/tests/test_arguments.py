@@ -75,7 +75,7 @@ REFUSED = [  # a call, and how the error begins
     (lambda: arguments.increasing_frequencies("w", [-0.1, 1], 0.5), "w spans"),
     (lambda: arguments.increasing_frequencies("w", [1, 1], 0.5), "w, of shape"),
     (lambda: arguments.array("x", True, (...,)), "x holds values of type bool"),
-    (lambda: arguments.array("P", DATA, ("n",)), "P must .* a Dataset: pass .* variables, y, e"),
+    (lambda: arguments.array("P", DATA, ("n",)), "P must .* or is it a Dataset"),
 ]
 
 

@@ -144,7 +144,8 @@ def multisine(
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
     amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
-    amplitude = arguments.array("amplitude", amplitude, (m,))
+    amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
+    amplitude = [arguments.positive("amplitude", value) for value in amplitude]
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
     realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
@@ -152,7 +153,7 @@ def multisine(
     harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (realisations, m, len(harmonics)))
     phases = _with_low_peaks(phases, harmonics, m).tolist()
-    return Excitation(Ts, period, periods, harmonics, phases, amplitude.tolist())
+    return Excitation(Ts, period, periods, harmonics, phases, amplitude)
 
 
 def _divided(hours, cycle, realisations, lowest):
