@@ -16,7 +16,7 @@ from typing import get_args
 import control
 import numpy as np
 
-CIRCLE = 1 - 1e-12  # modulus from which on a pole counts as on the unit circle: rounding of poles
+CIRCLE = 1 - 1e-9  # modulus from which on a pole counts as on the unit circle: no loop moved it
 PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
 LATE = 1e-3  # of Ts, of the Nyquist frequency: by how much times and frequencies may be rounded
 ROLES = {  # coordinates that name signals, and what a log calls them all
