@@ -13,6 +13,7 @@ from ilctools.models import frequency_response
 from rodlib.paper import published
 
 SIZES = {"x": 5.0, "F": 20.0}
+SKEW = [[0, 1], [-1, 0]]  # of which no weight takes notice
 
 
 @pytest.mark.parametrize("sizes", [None, SIZES])
@@ -26,7 +27,7 @@ def test_gains_agree_with_python_control(sizes):
     Aa, Ca = np.block([[A, B], [0, 0, 1]]), np.hstack([C, [[0]]])
     Ks, _, _ = control.dlqr(A, B, Qs, Rs)
     KL, _, _ = control.dlqe(Aa, np.eye(3), Ca, Qo, Ro)
-    for asked in ({"sizes": sizes}, {"Qs": Qs, "Rs": Rs, "Qo": Qo, "Ro": Ro}):
+    for asked in ({"sizes": sizes}, {"Qs": Qs + SKEW, "Rs": Rs, "Qo": Qo, "Ro": Ro}):
         loop = current_trial_loop(plant, ["F"], **asked)
         np.testing.assert_allclose(loop.Ks, Ks, rtol=1e-5)
         np.testing.assert_allclose(loop.KL, KL, rtol=1e-5)
