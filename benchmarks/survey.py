@@ -15,12 +15,11 @@ import control
 import numpy as np
 import pandas as pd
 from kinds import S, delay, resonance, sampled
-from problems import statement
+from problems import posed, statement
 from runner import publish, run
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
-from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
 
 PROBLEMS = 550
@@ -139,7 +138,7 @@ def ending(solve, *arguments, **options):
 
 def everywhere(*arguments, **options):
     """The problem of a model, with bounds at every frequency or not."""
-    return certified(pose(*arguments, **options), check=options["everywhere"])
+    return certified(posed(*arguments, **options), check=options["everywhere"])
 
 
 def peak(plants, Q, omega, Ts, order, structure, **_):

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ilctools import rms, run_trials, synthesise, zero_phase_butterworth
 from ilctools.problem.pose import pose
+from ilctools.response.door import response_of
 from ilctools.synthesis.result import Synthesis
 from ilctools.units import with_unit
 from rodlib.paper.figures import ACCENT, SHADES
@@ -121,7 +122,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
 
     start = {"M_max": 0.9, "cutoff": 0.1 / loop.Ts, "order": 10, "noise": 0.0} | choices
     Q = zero_phase_butterworth(2, start["cutoff"], loop.Ts)
-    start = {"L_max": pose(loop, Q).L_max, "structure": "diagonal"} | start
+    start = {"L_max": pose(response_of(loop, Q=Q), Q).L_max, "structure": "diagonal"} | start
     gain, cutoff, noise = start["L_max"], start["cutoff"], np.abs(reference).max() / 10
     real = partial(FloatSlider, readout_format=".3g")
     ranges = {  # kind of slider; least, most, step

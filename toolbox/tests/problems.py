@@ -19,7 +19,14 @@ import warnings
 import cvxpy as cp
 import numpy as np
 
+from ilctools.problem.pose import pose
 from ilctools.problem.problem import Cuts
+from ilctools.response.door import response_of
+
+
+def posed(P, Q, omega=None, Ts=None, uncertainty=None, scale=None, **choices):
+    """The problem that `synthesise` states for the same arguments."""
+    return pose(response_of(P, omega, Ts, uncertainty, scale, Q), Q, **choices)
 
 
 def memory(function):

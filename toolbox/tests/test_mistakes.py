@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from paper import paper_loop
 from plants import LOOPS, RestartingModel, altered, axes, bump, furnace, random_stable, tanks
+from problems import posed
 from scipy import signal
 
 from ilctools import (
@@ -35,7 +36,6 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.law.notes import loop_note, with_law
-from ilctools.problem.pose import pose
 
 TS = 1e-3
 MODEL = control.ss(control.sample_system(control.tf([1e4], [1, 40, 1e4]), TS))
@@ -214,7 +214,7 @@ def test_omega_in_another_unit_is_refused(unit, factor):
         synthesise(P, Q, OMEGA / factor)
     for plant in (LAG, *map(random_stable, range(10))):
         omega = np.linspace(0.01, 1.0, 100) * (0.5 / plant.dt if unit == "Hz" else np.pi)
-        pose(frequency_response(plant, omega), np.exp(-omega), omega, plant.dt)
+        posed(frequency_response(plant, omega), np.exp(-omega), omega, plant.dt)
 
 
 def test_one_number_as_uncertainty_is_relative_to_P():

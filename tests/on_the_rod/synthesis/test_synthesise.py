@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import posed
 
 from ilctools import InfeasibleError, LearningFilter, synthesise
 from ilctools.errors import SolverError
-from ilctools.problem.pose import pose
 from ilctools.synthesis import everywhere
 from ilctools.synthesis.design import certified
 from rodlib import paper_choices
@@ -56,7 +56,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
     arguments = (loop, Q, np.geomspace(1e-4, np.pi, 250), 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, **paper_choices(band=(1e-4, 0.01)))
-    problem = pose(*arguments, **paper_choices(band=(1e-4, 0.01)))
+    problem = posed(*arguments, **paper_choices(band=(1e-4, 0.01)))
     assert certified(problem, check=False).certificate.failures
 
 

@@ -115,14 +115,13 @@ class EstimatedResponse(Measured):
 
     def _at(self, omega):
         rows = [fit.response(omega * self.loop.Ts) for fit in self.fits]
-        m = self.units.shape[1]  # known disturbances are inputs, too
-        return self.units * np.stack(rows, axis=1)[..., :m]
+        return self.units * np.stack(rows, axis=1)
 
     def _moments(self, omega):
         """tr S and the root of tr S^2, (n,), and variances of dA / A, (output, 2, n)."""
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
-            S, share = fit.covariance(omega * self.loop.Ts, len(units))
+            S, share = fit.covariance(omega * self.loop.Ts)
             S = S * np.outer(np.tile(units, 2), np.tile(units, 2))
             trace = trace + np.trace(S, axis1=1, axis2=2)
             root = root + np.linalg.norm(S, axis=(1, 2))
@@ -155,7 +154,7 @@ class EstimatedResponse(Measured):
 
     def _impulse(self, n):
         """Impulse response over n samples, shape (outputs, inputs, n)."""
-        return self.units[..., None] * [fit.impulse(n)[: self.units.shape[1]] for fit in self.fits]
+        return self.units[..., None] * [fit.impulse(n) for fit in self.fits]
 
     def model(self) -> control.StateSpace:
         """The model of lowest order within the joint radius of 99 %.

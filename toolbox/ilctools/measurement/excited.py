@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc, fdtri, polygamma, psi
+from scipy.special import fdtri, polygamma, psi
 
 from ilctools.law.limits import commands_beyond
 from ilctools.loop.closed import CurrentTrialLoop, Loop
@@ -36,7 +36,6 @@ from ilctools.response.samples import Samples
 # Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
 # radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
 NEAR = 8
-SIGNIFICANCE = 1e-3  # probability of a false report
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,21 +72,8 @@ class ExcitedResponse(Measured):
 
     @property
     def distortion(self) -> np.ndarray:
-        """Likewise, by what is not linear alone."""
+        """Likewise, by what is not linear, drifts, or had not settled after the first period."""
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
-
-    @property
-    def beyond_noise(self) -> float:
-        """Share of the variance of P, over all lines, that is no noise; 0 where it may be chance.
-
-        It is what is not linear, a drift, or a transient longer than the first period. Of a linear
-        loop that has settled, (3) over (2) has an F distribution at each line; Fisher's method
-        combines them.
-        """
-        (R, N, n), (noise, both), d = self.periods.shape[:3], self._variances, self._error[1]
-        p = fdtrc(2 * d * (R - 1), 2 * d * R * (N - 1), both / noise)
-        chance = chdtrc(2 * n, -2 * np.log(np.maximum(p, 1e-300)).sum())
-        return float(1 - noise.sum() / both.sum()) if chance < SIGNIFICANCE else 0.0
 
     @cached_property
     def _variances(self):
@@ -169,11 +155,9 @@ class ExcitedResponse(Measured):
             f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
             f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
-            f"standard deviation {np.median(self.error):.2g} in the median, by noise alone "
-            f"{np.median(self.noise):.2g}",
+            f"standard deviation up to {self.noise.max():.2g} by noise, and up to "
+            f"{self.distortion.max():.2g} by what is not linear, drifts, or had not settled",
         ]
-        if share := self.beyond_noise:
-            lines.append(f"{share:.0%} of the variance is not linear, drifts, or had not settled")
         return "\n".join([*lines, *self.findings])
 
 

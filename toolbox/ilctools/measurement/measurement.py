@@ -5,11 +5,9 @@ The notes of :func:`measured_response` state the methods.
 
 import reprlib
 import warnings
-from os import PathLike
 
 import control
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
@@ -82,8 +80,8 @@ def measured_response(
     Records other than a single one of :func:`shake` are estimated by
     :mod:`ilctools.measurement.regression`: A(z) y = B(z) u + e, of high order and regularised,
     each input with a delay if correlations show one, from any start, with offset and slope in each
-    trial, a drift that the trials of a log have in common, disturbances that all logs know, and,
-    over the trials of one log, what repeats at each sample with a variance that the data determine.
+    trial, a drift that the trials of a log have in common, and, over the trials of one log,
+    what repeats at each sample with a variance that the data determine.
     The radius is Bayesian: "99 %" is a probability under a prior, by which coefficients of A and B
     decay and are smooth, and the posterior is normal, with the prior's parameters at the maximum
     of their own posterior and about it. For plants as they come it was checked on records of many
@@ -120,28 +118,22 @@ def measured_response(
             if value is not None:
                 raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
         return _warned(tabulated(log, uncertainty))
-    if isinstance(log, pd.DataFrame | str | PathLike):
-        raise ValueError(
-            f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
-            "by read_table(log, time=..., inputs={...}, outputs={...})"
-        )
-    if isinstance(log, np.ndarray):
-        raise ValueError(
-            f"log has shape {log.shape}, but an array does not say of what: pass a response, its "
-            "frequency last, as control.frd(log, omega, Ts)"
-        )
+    logs = log if isinstance(log, list | tuple) and log else [log]
+    for one in logs:
+        if not isinstance(one, xr.Dataset):
+            raise ValueError(
+                f"log = {reprlib.repr(one)} must be a Dataset: load_log(path), or of a table "
+                "read_table(log, time=..., inputs={...}, outputs={...}); or a response, its "
+                "frequency last, as control.frd(log, omega, Ts)"
+            )
     if uncertainty is not None:
         raise ValueError(
             "uncertainty must be None where log is a record, from which the radius is estimated"
         )
-    if isinstance(log, list | tuple) and log:
-        logs = [arguments.instance(f"log[{i}]", one, xr.Dataset) for i, one in enumerate(log)]
-        return _warned(estimated_response(logs, **asked))
-    arguments.instance("log", log, xr.Dataset)
-    given = any(value is not None for value in asked.values())
-    excitation = None if given else excitation_of(log)
+    plain = logs is log or any(value is not None for value in asked.values())
+    excitation = None if plain else excitation_of(log)
     if excitation is None:
-        measured = estimated_response([log], **asked)
+        measured = estimated_response(logs, **asked)
     elif (loop := loop_of(log)) is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:

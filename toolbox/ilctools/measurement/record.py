@@ -21,7 +21,7 @@ AXES = "trial", "time", ...
 class Record:
     """Inputs and outputs of logs from before each trial on, in units of `sizes`."""
 
-    groups: tuple[Trials, ...]  # of each log; disturbances that all know stand behind the inputs
+    groups: tuple[Trials, ...]  # of each log
     inputs: list[str]
     outputs: list[str]
     sizes: tuple[np.ndarray, np.ndarray]  # RMS of the moves of inputs (m,) and outputs (p,)
@@ -42,15 +42,18 @@ class Record:
             source = "w" if all("reference" in log for log in logs) else "u"
         arguments.choice("of", source, ["u", "w"])
         loop = _loop_of(logs[0], source)
-        inputs = loop.outputs if source == "w" else logs[0].control.values.tolist()
-        m, (u, y) = len(inputs), _signals(named, source, inputs, loop.outputs)
-        delay, sizes, units = _samples_of(delay, m, u[0].shape[2]), _sizes(u), _sizes(y)
+        inputs = loop.references if source == "w" else logs[0].control.values.tolist()
+        first, *_ = named
+        u, y = zip(*(_moves(*pair, source) for pair in named.items()), strict=True)
+        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+        check_moved(u, inputs, f"{first}.{source}", remedy)
+        check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
+        delay, sizes = _samples_of(delay, len(inputs)), (_sizes(u), _sizes(y))
         groups = [
-            Trials(x / sizes, z / units, _titles(log, len(z), name))
+            Trials(x / sizes[0], z / sizes[1], _titles(log, len(z), name))
             for (name, log), x, z in zip(named.items(), u, y, strict=True)
         ]
-        direct = source == "w" or "reference" not in logs[0] or delay[:m].min() > 0
-        inputs, sizes = loop.references if source == "w" else inputs, (sizes[:m], units)
+        direct = source == "w" or "reference" not in logs[0] or delay.min() > 0
         return cls(tuple(groups), inputs, loop.outputs, sizes, delay, direct, source, loop)
 
     @property
@@ -66,8 +69,7 @@ class Record:
         trials = sum(len(group.y) for group in self.groups)
         return (
             f"{trials} trials of up to {self.longest} samples, from {self.source} to y; assumed: y "
-            f"is moved by {self.source}, known disturbances, what repeats in all trials of a log, "
-            "noise and drift only"
+            f"is moved by {self.source}, what repeats in all trials of a log, noise and drift only"
         )
 
 
@@ -79,20 +81,8 @@ def _loop_of(log, source):
     return named or ClosedLoop(None, period_of(log), outputs, units=units)
 
 
-def _signals(named, source, inputs, outputs):
-    """Inputs, with the disturbances that all logs know if they move, and outputs, of each log."""
-    u, y = zip(*(_moves(*pair, source) for pair in named.items()), strict=True)
-    (first, *_), m, known = named, len(inputs), min(x.shape[2] for x in u)
-    remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
-    check_moved([x[..., :m] for x in u], inputs, f"{first}.{source}", remedy)
-    check_moved(y, outputs, f"{first}.y", "is it connected?")
-    moving = np.any([np.ptp(x[..., :known], axis=(0, 1)) > 0 for x in u], axis=0)
-    moving[:m] = True
-    return [x[..., :known][..., moving] for x in u], y
-
-
 def _moves(name, log, source):
-    """Inputs with known disturbances, and outputs, from before each trial on."""
+    """Inputs and outputs, from before each trial on."""
     if source == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
     if source == "u" and "u" not in log:
@@ -105,9 +95,6 @@ def _moves(name, log, source):
     y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
     if len(y[0]) < FEWEST:
         raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
-    if "disturbance" in log:
-        d = log.disturbance.transpose(*AXES).values.reshape(*u.shape[:2], -1)
-        u, before = (np.concatenate([signal, d], axis=2) for signal in (u, before))
     if RESET in log.attrs:  # trials go on where the last one ended: one record
         u, y, before = (signal.reshape(1, -1, signal.shape[2]) for signal in (u, y, before))
     return u - before[:, :1], y - y[:, :1]
@@ -120,12 +107,12 @@ def _titles(log, trials, name):
     return tuple(f"trial {k}{where}" for k in log.trial.values)
 
 
-def _samples_of(delay, m, inputs):
+def _samples_of(delay, m):
     delay = 0 if delay is None else delay
     delay = arguments.array("delay", [delay] * m if np.ndim(delay) == 0 else delay, (m,))
     if delay.min() < 0 or np.any(delay % 1):
         raise ValueError(f"delay = {delay.tolist()} must be whole numbers of samples, 0 or more")
-    return np.append(delay, np.zeros(inputs - m)).astype(int)
+    return delay.astype(int)
 
 
 def check_moved(signals, names, what, remedy):

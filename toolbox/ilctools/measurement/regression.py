@@ -378,9 +378,9 @@ class Regression:
         above = [wave @ self.of(1 + j, self.mean) for j, wave in enumerate(B)]
         return np.stack(above, axis=1) / below[:, None], below
 
-    def covariance(self, omega: np.ndarray, m=None) -> tuple[np.ndarray, np.ndarray]:
-        """Of dP from the first m inputs, real parts first, (n, 2 m, 2 m), and of dA / A, (2, n)."""
-        A, *B = self.data.layout.waves(omega)[: m and m + 1]
+    def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of dP, real parts first, (n, 2 m, 2 m), and of dA / A, (2, n)."""
+        A, *B = self.data.layout.waves(omega)
         (P, below), kind = self._ratio(A, *B), self.data.layout.kind
         slopes = np.zeros((len(omega), len(B) + 1, len(kind)), complex)
         slopes[:, -1, kind == 0] = A / below[:, None]

@@ -9,8 +9,7 @@ from ilctools.problem import defaults
 from ilctools.problem.lowpass import lowpass_of
 from ilctools.problem.problem import Bounds, Objective, Problem
 from ilctools.problem.reference import first_error
-from ilctools.response.door import response_of
-from ilctools.response.response import ROUNDING
+from ilctools.response.response import ROUNDING, Response
 from ilctools.singular_values import largest_singular_values
 
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
@@ -18,10 +17,8 @@ LONGEST = 300  # samples of a filter: of one channel 16 s, and the time grows as
 
 
 def pose(
-    P,
+    response: Response,
     Q,
-    omega=None,
-    Ts=None,
     *,
     order=None,
     M_max=0.9,
@@ -30,14 +27,11 @@ def pose(
     reference=None,
     structure="full",
     objective="sum",
-    scale=None,
-    uncertainty=None,
     everywhere=False,
     base=None,
     reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
-    response = response_of(P, omega, Ts, uncertainty, scale, Q)
     lowpass = lowpass_of(Q, response.omega)
     cutoff, chosen = lowpass.cutoff, []
     pooled = base == defaults.CHOOSE

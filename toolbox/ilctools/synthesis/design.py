@@ -177,38 +177,38 @@ def synthesise(
     (0.01, 1)
     >>> law = design.law()
     """
-    given = {
-        "omega": omega,
-        "Ts": Ts,
+    choices = {
         "M_max": M_max,
         "L_max": L_max,
         "band": band,
         "reference": reference,
         "structure": structure,
         "objective": objective,
-        "scale": scale,
-        "uncertainty": uncertainty,
         "everywhere": everywhere,
         "order": order,
+        "reach": reach,
     }
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
 
-    if Q is None:
-        return warned(without_Q(P, base=base, reach=reach, **given))
-    return warned(designed(pose(P, Q, base=base, reach=reach, **given), base))
+    def designed_with(Q):
+        response = response_of(P, omega, Ts, uncertainty, scale, Q)
+        return designed(pose(response, Q, base=base, **choices), base)
 
-
-def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis:
-    """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
+    if Q is not None:
+        return warned(designed_with(Q))
     response = response_of(P, omega, Ts, uncertainty, scale)
+    return warned(without_Q(response, M_max, designed_with))
+
+
+def without_Q(response, M_max, designed_with) -> Synthesis:
+    """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
     Ts, positive = response.Ts, response.omega[response.omega > 0]
-    lowest, highest = max(LOWEST * np.pi / Ts, positive[0]), reached(response, choices["M_max"])
-    known = {"omega": omega, "Ts": Ts, "scale": scale, "uncertainty": uncertainty}
+    lowest, highest = max(LOWEST * np.pi / Ts, positive[0]), reached(response, M_max)
     for cutoff in (highest, highest / 2):
         Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
-        design = designed(pose(P, Q, base=base, **known, **choices), base)
+        design = designed_with(Q)
         samples, norm = design.certificate.trial
         if not norm >= 1:
             break

@@ -13,7 +13,7 @@ from ilctools.law.law import Law
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
-from ilctools.response.door import in_own_units
+from ilctools.response.door import in_own_units, response_of
 from ilctools.signals import check_match
 from ilctools.threads import on_one_thread
 
@@ -93,22 +93,14 @@ class Synthesis:
         design = self.problem
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        problem = pose(
-            P,
-            design.lowpass,
-            omega,
-            design.Ts,
-            order=1,
-            L_max=None,
-            objective="peak",
-            uncertainty=uncertainty,
-            scale=design.scale if np.any(design.scale != 1) else None,
-        )
+        scale, Q = design.scale if np.any(design.scale != 1) else None, design.lowpass
+        response = response_of(P, omega, design.Ts, uncertainty, scale, Q)
+        problem = pose(response, Q, order=1, L_max=None, objective="peak")
         if problem.channels != design.channels:
             raise ValueError(
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
-        check_match(design=design.response.signals, P=problem.response.signals)
+        check_match(design=design.response.signals, P=response.signals)
         return on_one_thread(check)(problem, self.certificate.filter).convergence
 
     def __repr__(self):

@@ -7,6 +7,7 @@ import numpy as np
 
 from ilctools.errors import SolverError
 from ilctools.problem.pose import pose
+from ilctools.response.door import response_of
 from ilctools.synthesis.design import certified, warned
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import Synthesis
@@ -45,12 +46,14 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     True
     """
     for name in ("objective", "L_max", "base"):
-        if name in choices and (name, choices[name]) != ("base", None):
+        if name in choices:
             raise ValueError(
                 f"{name} = {reprlib.repr(choices[name])} must be left out: asked is the least "
                 'gain of the least peak; with a bound on L, synthesise(objective="peak")'
             )
-    problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **choices)
+    known = choices.pop("uncertainty", None), choices.pop("scale", None)
+    response = response_of(P, omega, Ts, *known, Q)
+    problem = pose(response, Q, objective="peak", L_max=None, **choices)
     free = certified(problem)
     unit = free.sigma_L.max()  # a gain that is enough
     question = replace(problem, objective=replace(problem.objective, kind="gain"))

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from paper import paper_choices
 from plants import lag, lags
+from problems import posed
 
 from ilctools import convergence, synthesise, zero_phase_butterworth
 from ilctools.evidence.certificate import certify
 from ilctools.evidence.peak import peak_of_M
 from ilctools.models import frequency_response
-from ilctools.problem.pose import pose
 from ilctools.problem.problem import Solution
 
 OMEGA = np.geomspace(1e-3, np.pi, 64)  # one round is enough for four samples, see problem.grid
@@ -102,7 +102,7 @@ def test_next_to_zero_the_gap_is_relative_to_a_hundredth_of_the_idle(good):
 
 
 def test_learning_that_does_nothing_is_named():
-    problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
+    problem = posed(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((64, 2, 2))
     nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, 0)
     [found] = certify(problem, problem, nothing).warnings

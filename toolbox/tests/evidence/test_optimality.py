@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import complex_normal
+from problems import posed
 
 from ilctools.evidence.optimality import dual_norm, lower_bound
-from ilctools.problem.pose import pose
 
 sizes = st.integers(1, 3)
 seeds = st.integers(0, 999)
@@ -22,7 +22,7 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     P = np.eye(2) * (0.1 / (z - 0.9))[:, None, None] + 0.2 * rng.standard_normal((2, 2))
     Q = 1 / (1 + (angles / 0.1) ** 4)
     asked = {"order": order, "L_max": None, "structure": structure, "objective": "peak"}
-    problem, U = pose(P, Q, angles, 1.0, **asked), complex_normal(rng, 250, 2, 2)
+    problem, U = posed(P, Q, angles, 1.0, **asked), complex_normal(rng, 250, 2, 2)
 
     def bound_of(U):
         """Of U and -U one has a bound above zero, by as much as is left of U."""

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import complex_normal
+from problems import posed
 from scipy.optimize import minimize_scalar
 
 from ilctools import LearningFilter, worst_case
 from ilctools.evidence.robustness import within_radius
-from ilctools.problem.pose import pose
 
 sizes = st.integers(1, 3)
 seeds = st.integers(0, 999)
@@ -25,7 +25,7 @@ def random_case(m, seed, n=5, others=0):
     radius = rng.uniform(0, 1, n)
     radius[1] = 0
     omega, asked = np.linspace(0.1, 3, n), {"order": 3, "band": (0.1, 3)}
-    problem = pose(list(P), Q, omega, 1.0, uncertainty=radius, **asked)
+    problem = posed(list(P), Q, omega, 1.0, uncertainty=radius, **asked)
     return problem, LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
 
 

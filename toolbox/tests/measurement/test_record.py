@@ -52,20 +52,6 @@ def test_numbers_of_inputs_and_outputs_may_differ(shape):
     assert np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True))
 
 
-def test_disturbances_of_several_logs_have_one_unit():
-    """However large they are in each: they are of one plant. One that rests is no input."""
-    rng, logs = np.random.default_rng(0), []
-    for size in (0.1, 3.0):
-        log, d = moved(LAG, 200), size * rng.standard_normal((1, 200))
-        y = log.y + control.forced_response(LAG, U=d).outputs[None, :, None]
-        both = np.concatenate([d, np.full((1, 200), 3.0)])
-        logs.append(log.assign(y=y, disturbance=(("trial", "time", "source"), both.T[None])))
-    estimate = measured_response(logs)
-    alone = measured_response(moved(LAG, 200))
-    assert np.median(estimate.radius() / alone.radius()) < 1.1
-    assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True))
-
-
 def test_a_known_delay_is_less_to_estimate(monkeypatch):
     plant = control.ss(furnace(60))
     log = moved(plant, 400)

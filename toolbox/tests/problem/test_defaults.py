@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_choices
+from problems import posed
 
 from ilctools import zero_phase_butterworth
 from ilctools.problem import defaults
-from ilctools.problem.pose import pose
 
 
 def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
-    chosen, paper = pose(loop, Q), pose(loop, Q, omega, **paper_choices())
+    chosen, paper = posed(loop, Q), posed(loop, Q, omega, **paper_choices())
     np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
     assert chosen.objective.band == pytest.approx((1e-4, 0.1), rel=1e-12)
     assert (chosen.L_max, paper.L_max) == (200.0, 50.0)
@@ -24,7 +24,7 @@ def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
 def test_time_and_unit_may_be_others(factor, unit):
     """A lag 0.1 / (z - 0.9), ten times faster: all frequencies move along, and the gain stays."""
     slow, fast = (
-        pose(control.ss(0.9, size, 0.1, 0, Ts), zero_phase_butterworth(2, 0.1 / Ts, Ts))
+        posed(control.ss(0.9, size, 0.1, 0, Ts), zero_phase_butterworth(2, 0.1 / Ts, Ts))
         for Ts, size in ((1.0, 1.0), (factor, unit))
     )
     np.testing.assert_allclose(fast.omega * factor, slow.omega, rtol=1e-9)
@@ -40,15 +40,15 @@ def test_of_several_channels_the_gain_inverts_the_weakest_direction():
     omega = np.geomspace(1e-3, np.pi, 60)
     for factor, gain in ((1.0, 20.0), (1.01, 20.0), (0.79, 30.0), (1e5, 2e-4)):
         P = factor * np.tile(np.diag([4.0, 0.2]), (60, 1, 1))
-        assert pose(P, zero_phase_butterworth(2, 0.3, 1.0), omega).L_max == gain
+        assert posed(P, zero_phase_butterworth(2, 0.3, 1.0), omega).L_max == gain
 
 
 def test_the_gain_inverts_p_where_it_is_least_below_the_cutoff():
     """Below a peak P is smaller than at it; above the cut-off nothing is inverted."""
     omega, Q = np.linspace(0.05, np.pi, 60), zero_phase_butterworth(2, 0.5, 1.0)
     P = np.where(omega < 0.2, 0.5, np.where(omega < 0.7, 5.0, 1e-3))[:, None, None]
-    assert pose(1j * P, Q, omega).L_max == 4 / 0.5
-    covered = pose(1j * P, Q, omega, uncertainty=np.full(60, 2.0))
+    assert posed(1j * P, Q, omega).L_max == 4 / 0.5
+    covered = posed(1j * P, Q, omega, uncertainty=np.full(60, 2.0))
     assert covered.L_max == 4 / 2.0  # what is known to be smaller is not known to be there
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import posed
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.evidence.peak import CLOSE, peak_of_L
 from ilctools.problem.grid import on_a_grid
-from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 
 DENSE = np.linspace(0, np.pi, 4001)
@@ -31,7 +31,7 @@ def test_no_filter_that_keeps_the_bound_on_the_grid_passes_it_between(m, order, 
     P = np.tile(np.eye(m), (len(omega), 1, 1))
     choices = {"order": order, "L_max": 7.0, "objective": "peak"}
     Q = zero_phase_butterworth(2, 0.5, 1.0)
-    problem, stated = on_a_grid(pose(P, Q, omega, 1.0, **choices))
+    problem, stated = on_a_grid(posed(P, Q, omega, 1.0, **choices))
     np.testing.assert_array_equal(problem.omega[stated], omega)
     peak = np.cos(np.arange(order) * rng.uniform(0, np.pi))
     for taps in (rng.standard_normal((m, m, order)), peak * np.eye(m)[..., None]):

@@ -4,10 +4,10 @@ import control
 import numpy as np
 import pytest
 from plants import bump, furnace, lags
+from problems import posed
 
 from ilctools import current_trial_loop, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
-from ilctools.problem.pose import pose
 
 OMEGA = np.geomspace(1e-3, np.pi, 60)
 Q = zero_phase_butterworth(2, 0.3, 1.0)
@@ -28,17 +28,17 @@ def test_the_sampling_period_is_taken_from_what_knows_it():
         (loop, q, OMEGA / 30, 30.0),
         ([SAMPLES, COUPLED], q, OMEGA, 1.0),
     ]:
-        assert pose(P, filter_Q, grid, objective="peak").Ts == Ts
+        assert posed(P, filter_Q, grid, objective="peak").Ts == Ts
 
 
 def test_several_plants_may_be_known_in_several_ways():
     """The first as a model; the others are the same plant, as samples in four ways."""
     plants = (COUPLED, SAMPLES, FRD, SAMPLES.tolist(), [*SAMPLES])
-    posed = pose(plants, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
-    assert posed.plants.shape == (5, 60, 2, 2) and posed.response.models[1:] == (None,) * 4
-    for plant in posed.plants:
+    problem = posed(plants, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
+    assert problem.plants.shape == (5, 60, 2, 2) and problem.response.models[1:] == (None,) * 4
+    for plant in problem.plants:
         np.testing.assert_allclose(plant, SAMPLES, rtol=1e-12)
-    np.testing.assert_array_equal(posed.radius, np.full(60, 0.1))
+    np.testing.assert_array_equal(problem.radius, np.full(60, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         P = model if as_model else frequency_response(model, OMEGA)
         designs.append(synthesise(P, Q, OMEGA, 1.0, scale=2.0 * unit, **kind))
         reference = unit * bump(60, [1.0, 3.0])
-        task = pose(model, Q, OMEGA, 1.0, scale=unit, reference=reference).objective
+        task = posed(model, Q, OMEGA, 1.0, scale=unit, reference=reference).objective
         weights.append(task.weights)
     one, other = designs
     for name in ("value", "lower_bound", "all_M", "all_L"):
@@ -95,4 +95,4 @@ REFUSED = [  # arguments, and how the message begins
 def test_what_does_not_fit_is_refused(changes, message):
     plain = {"P": COUPLED, "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND}
     with pytest.raises(ValueError, match=f"^{message}"):
-        pose(**plain | changes)
+        posed(**plain | changes)

@@ -5,11 +5,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from plants import LOOPS, axes, bump
+from problems import posed
 
 from ilctools import ClosedLoop, run_trials, zero_phase_butterworth
 from ilctools.law.law import Law
 from ilctools.models import frequency_response
-from ilctools.problem.pose import pose
 
 
 def first_error_of(loop, reference):
@@ -27,7 +27,7 @@ def test_power_and_weights_are_those_of_a_simulated_trial(kind):
     angles = np.geomspace(3e-3, np.pi, 400)
     back = bump(300, 1.0 + np.arange(m))
     for reference in (back, np.cumsum(back, axis=0) / 100):
-        problem = pose(loop, Q, angles / Ts, reference=reference)
+        problem = posed(loop, Q, angles / Ts, reference=reference)
         e = first_error_of(loop, reference)
         e = np.pad(e, [(0, 30), (0, 0)], mode="linear_ramp")
         total = np.trace(problem.objective.first_error.sum(axis=0)).real
@@ -46,7 +46,7 @@ def test_a_narrow_line_between_the_frequencies_is_not_missed():
     loop = ClosedLoop(axes())
     Q, omega = zero_phase_butterworth(2, 5.0, 0.1), np.linspace(0.5, 30, 60)
     sine = np.sin(2.75 * 0.1 * np.arange(2285))[:, None] * [1.0, 0.0]
-    problem = pose(loop, Q, omega, reference=sine)
+    problem = posed(loop, Q, omega, reference=sine)
     power = np.trace(problem.objective.first_error, axis1=1, axis2=2).real
     expected = (first_error_of(loop, sine) ** 2).sum(axis=1).mean()
     assert power[4:6].sum() == pytest.approx(expected, rel=0.1)
@@ -60,7 +60,7 @@ def test_a_table_gives_the_weights_of_its_model_and_labels_are_matched():
     P = np.moveaxis(frequency_response(model, omega), 0, -1)
     reference = pd.DataFrame(bump(400, [1.0, 3.0]), columns=["x", "y"])
     of_model, of_table = (
-        pose(plant, Q, omega, reference=signal).objective.first_error
+        posed(plant, Q, omega, reference=signal).objective.first_error
         for plant, signal in (
             (ClosedLoop(model), reference.values),
             (control.frd(P, omega, 0.1, **names), reference[["y", "x"]]),

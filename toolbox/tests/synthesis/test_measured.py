@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from paper import paper_choices
 from plants import LOOPS, complex_normal
+from problems import posed
 
 from ilctools import InfeasibleError, measured_response, synthesise, zero_phase_butterworth
-from ilctools.problem.pose import pose
 from ilctools.problem.problem import convergence_matrix
 from ilctools.singular_values import largest_singular_values
 
@@ -49,7 +49,7 @@ def test_where_nothing_can_be_learned_is_named(loop, Q):
     lost = omega[smallest <= 0.01]
     assert 0 < len(lost) < 50
     assert f"nothing can be learned at {len(lost)} frequencies from {lost[0]:.4g}" in str(design)
-    many = pose([P, 0.5 * P], Q, omega, 1.0, uncertainty=np.full(50, 0.01))
+    many = posed([P, 0.5 * P], Q, omega, 1.0, uncertainty=np.full(50, 0.01))
     np.testing.assert_array_equal(many.unusable, 0.5 * smallest <= 0.01)
     with pytest.raises(InfeasibleError, match="nothing can be learned at") as caught:
         synthesise(table(P, 0.5, omega), Q, omega, **choices)

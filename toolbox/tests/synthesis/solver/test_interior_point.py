@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
 from plants import lag, random_response
-from problems import memory, statement
+from problems import memory, posed, statement
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
-from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver import interior_point
@@ -91,7 +90,7 @@ def test_the_gap_may_widen_before_it_closes():
     """While the objective falls by orders of magnitude, the dual does not follow at once."""
     arguments = *of_lag(30, 0.3, 500), 1.0
     choices = {"order": 20, "L_max": 50.0, "band": (1e-4, 0.1)}
-    design = certified(pose(*arguments, **choices))
+    design = certified(posed(*arguments, **choices))
     _, value = statement(*arguments, **choices)
     assert design.value == pytest.approx(value, rel=1e-4)
 
@@ -119,7 +118,7 @@ def small_program(m, structure, objective):
     choices = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
     choices |= {"structure": structure, "objective": objective}
     plants, radius = [P, P * 1.05, P * 0.96], np.full(len(omega), 0.05)
-    problem = pose(plants, Q, omega, 1.0, uncertainty=radius, **choices)
+    problem = posed(plants, Q, omega, 1.0, uncertainty=radius, **choices)
     return formulate(problem, [1, 2, 1], [3, 3, 7]).program
 
 
@@ -141,7 +140,7 @@ def test_a_whole_step_meets_all_equations_that_are_linear(kind):
 
 def test_a_failure_is_not_called_infeasible(monkeypatch):
     P, Q, omega = random_response(1, 2)
-    program = formulate(pose(P, Q, omega, 1.0, order=3, L_max=5.0, band=(0.01, 0.3))).program
+    program = formulate(posed(P, Q, omega, 1.0, order=3, L_max=5.0, band=(0.01, 0.3))).program
 
     def fails(p):
         raise np.linalg.LinAlgError("the bounds leave less room than rounding takes")
