@@ -26,6 +26,8 @@ include_patterns = [
     "notebooks/*.ipynb",
     "toolbox/README.md",
 ]
+# where no texts are searched for
+exclude_patterns = [".*", "build", "rodlib", "tests", "toolbox/ilctools", "toolbox/tests"]
 
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
@@ -95,6 +97,8 @@ def draw_trials(app, exception):
         names["save"] = lambda *arguments: None  # which would close it
         exec(cells[drawn], names)
     figure, trials = names["figure"], len(names["numbers"])
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # the same in all frames, computed once
     for trial in range(trials):
         for column in figure.axes:
             for k, line in enumerate(column.lines, trials - len(column.lines)):
