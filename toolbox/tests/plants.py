@@ -19,7 +19,7 @@ STAGE_WITH_MODES = control.sample_system(  # lightly damped, behind a loop of 10
 
 
 def half(*choices):
-    """Half of all combinations of choices, in which any two of different kinds still meet."""
+    """Half of all combinations of choices; each choice is in some."""
     places = product(*(range(len(options)) for options in choices))
     return [
         values for at, values in zip(places, product(*choices), strict=True) if sum(at) % 2 == 0

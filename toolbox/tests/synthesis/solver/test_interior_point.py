@@ -18,7 +18,7 @@ from ilctools.synthesis.solver import interior_point
 
 
 @pytest.mark.filterwarnings("ignore:the filter leaves", "ignore:.*between the frequencies omega")
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(
     st.integers(1, 3),
     st.sampled_from([1, 2, 5, 10]),
