@@ -1,7 +1,5 @@
 """Plants as models, loops and rigs, and what tests ask of them."""
 
-from itertools import product
-
 import control
 import numpy as np
 
@@ -16,14 +14,6 @@ _S = control.tf("s")
 STAGE_WITH_MODES = control.sample_system(  # lightly damped, behind a loop of 100 rad/s
     control.ss(1e4 / (_S**2 + 120 * _S + 1e4) * (0.9 + 0.1 * 4e4 / (_S**2 + 4 * _S + 4e4))), 1e-3
 )
-
-
-def half(*choices):
-    """Half of all combinations of choices; each choice is in some."""
-    places = product(*(range(len(options)) for options in choices))
-    return [
-        values for at, values in zip(places, product(*choices), strict=True) if sum(at) % 2 == 0
-    ]
 
 
 def lag(pole=0.9, gain=1.0, Ts=1.0):

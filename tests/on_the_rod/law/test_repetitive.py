@@ -6,7 +6,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from plants import LOOPS, ModelRig, half
+from plants import LOOPS, ModelRig
 from rods import PRINTED
 from scipy.signal import butter, freqz_sos
 from written_out import simulated
@@ -81,7 +81,7 @@ def assert_close(actual, expected, rtol):
     np.testing.assert_allclose(actual, expected, rtol=0, atol=rtol * np.abs(expected).max())
 
 
-@pytest.mark.parametrize(("name", "gain"), half([*CASES], [1.0, 0.6]))
+@pytest.mark.parametrize(("name", "gain"), [*zip(CASES, [1.0, 0.6] * 2, strict=True)])
 def test_trials_are_the_law_and_the_loop_written_out(name, gain):
     """In simulation, of signals that differ at every border, with noise."""
     loop, law = law_for(name)
@@ -97,7 +97,7 @@ def test_trials_are_the_law_and_the_loop_written_out(name, gain):
     assert np.abs(ends - run.v[2]).max() > 1e-3 * np.abs(v).max()
 
 
-@pytest.mark.parametrize(("name", "limited"), half([*CASES], [True, False]))
+@pytest.mark.parametrize(("name", "limited"), [*zip(CASES, [True, False] * 2, strict=True)])
 def test_a_rig_that_never_rests_is_that_loop_and_its_log_replays(name, limited, tmp_path):
     loop, law = law_for(name)
     (r, d), rig, high = signals(loop), ModelRig(loop.plant), np.inf
