@@ -46,7 +46,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     True
     """
     for name in ("objective", "L_max", "base"):
-        if name in choices:
+        if name in choices and (name, choices[name]) != ("base", None):
             raise ValueError(
                 f"{name} = {reprlib.repr(choices[name])} must be left out: asked is the least "
                 'gain of the least peak; with a bound on L, synthesise(objective="peak")'
