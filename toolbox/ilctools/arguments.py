@@ -213,8 +213,9 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} is complex, but must be real")
     _check_shape(name, plain.shape, tuple(shape))
     result = np.asarray(np.ma.filled(plain.astype(dtype), np.nan))  # what is masked is missing
-    bad = np.argwhere(~np.isfinite(result))
-    if len(bad):
+    finite = np.isfinite(result)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         first = tuple(bad[0].tolist())
         raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {first}")
     return result

@@ -100,16 +100,21 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     x = arguments.array("initial", initial, ("n",))
     A = arguments.array("A", A, (len(x), len(x)))
     forcing = arguments.array("forcing", forcing, ("time", len(x)))
-    # x(p) is the sum of A^k f(p - 1 - k), f(-1) the start: of 1, 2, 4, ... terms in turn
-    x, power, k = np.vstack([x, forcing[:-1]]), A.T, 1
-    while k < len(x):
-        x[k:] += x[:-k] @ power
-        power, k = power @ power, 2 * k
+    # x(p) is the sum of A^k f(p - 1 - k), f(-1) the start
+    return _summed(np.vstack([x, forcing[:-1]]), A.T)
+
+
+def _summed(x, step):
+    """x(p), p = 0, 1, ..., with A x(p - 1) added in turn, in place: to every second one by A^2."""
+    if len(x) > 1:
+        x[1::2] += x[:-1:2] @ step
+        _summed(x[1::2], step @ step)
+        x[2::2] += x[1:-1:2] @ step
     return x
 
 
-def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues (r,) and left eigenvectors (n, r) of modes that no input can excite, by Hautus.
+def unreachable_modes(A, B) -> np.ndarray:
+    """Left eigenvectors (n, r) of modes that no input can excite, by Hautus.
 
     A mode counts as one if the smallest singular value of [lambda I - A, B], both blocks scaled to
     norm one, is below SILENT. For unobservable modes pass A', C'.
@@ -122,16 +127,16 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
         pencil = np.hstack([(eigenvalue * np.eye(len(A)) - A) / scale_A, B / scale_B])
         left, singular_values, _ = np.linalg.svd(pencil)
         silent = left[:, singular_values < SILENT]
-        values.extend([eigenvalue] * silent.shape[1])
+        values += [eigenvalue] * silent.shape[1]
         vectors.append(silent)
-    return np.array(values), np.hstack([np.empty((len(A), 0)), *vectors])
+    return np.hstack([np.empty((len(A), 0)), *vectors])
 
 
 def reachable_basis(A, B) -> np.ndarray:
     """Orthonormal basis of the reachable subspace, shape (n, r)."""
     basis = np.eye(len(A))
     while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
-        _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
+        silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
         if not silent.size:
             break
         basis = basis @ null_space(np.hstack([silent.real, silent.imag]).T, rcond=SILENT)

@@ -92,7 +92,7 @@ def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Trials with what (23) takes from v, (1 - Q) v, and with what it adds, Q L e."""
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
-    return trials.assign(forgotten=(AXES, forgotten), learned=(AXES, learned))
+    return trials[["e", "reference"]].assign(forgotten=(AXES, forgotten), learned=(AXES, learned))
 
 
 def error_grows(trials: xr.Dataset) -> dict:
@@ -105,9 +105,8 @@ def error_grows(trials: xr.Dataset) -> dict:
     forgotten, learned = (
         np.linalg.norm(trials[name], axis=(1, 2)) for name in ("forgotten", "learned")
     )
-    forgets = np.logical_and.accumulate(forgotten > GROWTH * learned)
-    trials = trials.isel(trial=slice(forgets.sum(), None))
-    e, size = trials.e.values, trials["rms"].values
+    begin = np.logical_and.accumulate(forgotten > GROWTH * learned).sum()
+    e, size = trials.e.values[begin:], trials.rms.values[begin:]
     if len(size) < 2:
         return {}
     size = np.maximum(size, ROUNDING * max(np.abs(trials.reference.values).max(), *size))
@@ -121,7 +120,7 @@ def error_grows(trials: xr.Dataset) -> dict:
     freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
     if chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
         return {}
-    return {"trials": trials.trial.values[[before, -1]], "rms": size[[before, -1]]}
+    return {"trials": trials.trial.values[[begin + before, -1]], "rms": size[[before, -1]]}
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
@@ -203,7 +202,7 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     prediction by noise alone, independent from trial to trial, by less than the promise allows, or
     by a disturbance that grows from trial to trial, by as much in each.
     """
-    e, size, last = trials.e.values, trials["rms"].values, trials.sizes["trial"] - 1
+    e, size, last = trials.e.values, trials.rms.values, trials.sizes["trial"] - 1
     if last < 2:  # noise is known from two changes on
         return {}
     changes, expected = np.diff(e, axis=0), -np.diff(trials.effect.values, axis=0)
