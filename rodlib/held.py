@@ -8,8 +8,6 @@ import numpy as np
 from ilctools import arguments
 from rodlib.rod import Rod, exact_response, modes
 
-MODES = 10_000  # the most that are summed: with 1000 frequencies they take 160 MB
-
 
 def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     """Frequency response of the rod's equation (1)-(4) between a zero-order hold and a sampler.
@@ -31,7 +29,8 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     omega : array_like, shape (n,)
         Angular frequencies, rad/s, from 0 to the Nyquist frequency pi / Ts.
     Ts : float
-        Sampling period, s.
+        Sampling period, s. Memory grows as its root falls: with 1000 frequencies the paper's rod
+        takes 3 MB at 1 s, 300 MB at 0.1 ms.
 
     Returns
     -------
@@ -67,7 +66,9 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     arguments.instance("rod", rod, Rod)
     Ts = arguments.sampling_period("Ts", Ts)
     omega = arguments.up_to_nyquist("omega", arguments.row("omega", omega), Ts)
-    s, B, C = modes(rod, np.arange(_mode_count(rod, Ts)))
+    x = 40 - np.log(-np.expm1(-rod.kappa_2 * Ts / rod.kappa_1))
+    N = np.ceil(rod.length / np.pi * np.sqrt(x * rod.kappa_1 / (rod.conductivity * Ts)))
+    s, B, C = modes(rod, np.arange(int(N)))
     r = C.T[:, :, None] * (B / -s[:, None])[:, None]
     # z - p_n, without cancellation where both are close to one
     z_minus_1 = np.expm1(1j * omega * Ts)[:, None]
@@ -76,15 +77,3 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     # Small terms first, which loses fewer digits.
     others = exact_response(rod, 0.0)[0].real - r[::-1].sum(axis=0)
     return G + others / (1 + z_minus_1[:, :, None])
-
-
-def _mode_count(rod, Ts):
-    """How many modes count, N in the notes above."""
-    x = 40 - np.log(-np.expm1(-rod.kappa_2 * Ts / rod.kappa_1))
-    N = rod.length / np.pi * np.sqrt(x * rod.kappa_1 / (rod.conductivity * Ts))
-    if N > MODES:
-        raise ValueError(
-            f"Ts = {Ts} is too short for this rod: {N:.3g} modes count, and {MODES} are "
-            f"the limit. Take at least {Ts * (N / MODES) ** 2:.3g} s"
-        )
-    return int(np.ceil(N))

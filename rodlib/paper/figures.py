@@ -67,6 +67,9 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     is to be seen, in a sentence or two of plain text that stand for themselves.
     """
     width = round(figure.get_figwidth() * figure.get_dpi())
+    figure.set_dpi(PIXELS_PER_INCH)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # else computed anew at each drawing
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
     _write(figure, picture, "Software")
     if not same_picture(picture, ROOT / "figures" / picture.name):

@@ -77,18 +77,11 @@ class Excitation:
         waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
         return waves.reshape(-1, self.period, self.channels)
 
-    @property
-    def crest(self) -> float:
-        """Crest factor: the largest peak over the RMS; a single sine has 1.41."""
-        waves = self._period / self.amplitude
-        return float(1 / np.sqrt(np.mean(waves**2)))
-
     def __repr__(self):
         return (
             f"{len(self.phases)} realisations of {self.channels} experiments of 1 + {self.periods} "
             f"periods of {self.period * self.Ts:.6g} s, {self.hours:.3g} h; {len(self.harmonics)} "
-            f"lines from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s, crest factor "
-            f"{self.crest:.2f}"
+            f"lines from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s"
         )
 
 

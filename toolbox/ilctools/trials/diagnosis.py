@@ -16,9 +16,9 @@ themselves: it is what does not repeat, however coloured, and what v does not ex
 
 from collections.abc import Callable
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from scipy.special import factorial, fdtrc
 
@@ -80,11 +80,13 @@ def _first_finding(test, trials, first):
     begins = [(k, since) for k, since in enumerate(successions(trials)) if first - 1 <= k > since]
     for channels in groups:
         alike = trials.isel(channel=channels)
-        alike = alike.assign(rms=rms_of(alike.e))
+        alike, names = alike.assign(rms=rms_of(alike.e)), alike.output.values
+        signals = {name: x.values for name, x in alike.variables.items() if "trial" in x.dims}
         for k, since in begins:
-            if values := test(alike.isel(trial=slice(since, k + 1))):
-                where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
-                return {"where": where} | values
+            now = SimpleNamespace(**{name: x[since : k + 1] for name, x in signals.items()})
+            if values := test(now):
+                where = f"{', '.join(names)}: " if len(groups) > 1 else ""
+                return {"where": where} | values | {"output": names[values.get("channel", 0)]}
     return {}
 
 
@@ -95,7 +97,7 @@ def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
     return trials[["e", "reference"]].assign(forgotten=(AXES, forgotten), learned=(AXES, learned))
 
 
-def error_grows(trials: xr.Dataset) -> dict:
+def error_grows(trials: SimpleNamespace) -> dict:
     """Null hypothesis: errors of trials with one reference are noise of one variance.
 
     It is tested where the error rose several times in succession up to the last trial, or to a
@@ -103,13 +105,13 @@ def error_grows(trials: xr.Dataset) -> dict:
     beginning: with e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
     """
     forgotten, learned = (
-        np.linalg.norm(trials[name], axis=(1, 2)) for name in ("forgotten", "learned")
+        np.linalg.norm(x, axis=(1, 2)) for x in (trials.forgotten, trials.learned)
     )
     begin = np.logical_and.accumulate(forgotten > GROWTH * learned).sum()
-    e, size = trials.e.values[begin:], trials.rms.values[begin:]
+    e, size = trials.e[begin:], trials.rms[begin:]
     if len(size) < 2:
         return {}
-    size = np.maximum(size, ROUNDING * max(np.abs(trials.reference.values).max(), *size))
+    size = np.maximum(size, ROUNDING * max(np.abs(trials.reference).max(), *size))
     rises, least = np.append(size[:0:-1] > size[-2::-1], False).argmin(), GROWTH
     before = len(size) - 1 - rises
     if rises < RISES:
@@ -120,7 +122,7 @@ def error_grows(trials: xr.Dataset) -> dict:
     freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
     if chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
         return {}
-    return {"trials": trials.trial.values[[begin + before, -1]], "rms": size[[before, -1]]}
+    return {"trials": trials.trial[[begin + before, -1]], "rms": size[[before, -1]]}
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
@@ -147,7 +149,8 @@ def known_plants(law: Law) -> list[Callable]:
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     """Trials with P v from rest, by which v lowers the error, and what the radius may add to it.
 
-    By transforms of twice the length, after which the impulse response has decayed.
+    And with `kept`, what Q never learns of the error without v. By transforms of twice the length,
+    after which the impulse response has decayed.
     """
     v = np.array([applied_v(law, run) for run in runs(trials)])
     samples = v.shape[1]
@@ -155,8 +158,10 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     V = np.fft.rfft(v, 2 * samples, axis=1)[..., None]
     spectra = np.stack([response @ V, radius[:, None, None] * V])[..., 0]
     effect, spread = np.fft.irfft(spectra, axis=2)[:, :, :samples].reshape(2, *trials.v.shape)
+    free = trials.e.values + effect
+    kept = AXES, free - law.Q.apply(free)  # (1 - Q) e_free
     of_inputs = ("trial", "time", "input"), spread
-    return trials.assign(effect=(AXES, effect), spread=of_inputs)
+    return trials[["e", "reference"]].assign(effect=(AXES, effect), kept=kept, spread=of_inputs)
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
@@ -167,34 +172,30 @@ def largest_M(law: Law, P: Callable) -> np.ndarray:
     return within_radius(response, Q, L, radius, 0)
 
 
-def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -> pd.DataFrame:
+def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: int) -> dict:
     """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
 
     `bound` is sigma_max(M) and what Q leaves, by (1); `predicted` follows from (2), ends included;
     `measured` is the error of trial k. `excess` is the RMS by which it exceeds both.
     """
-    e, effect, spread = (trials[name].values for name in ("e", "effect", "spread"))
+    e, effect, kept, spread = trials.e, trials.effect, trials.kept, trials.spread
     frequency = octaves(e.shape[1]) * 2 * np.pi / e.shape[1]  # times Ts
     sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, frequency))
-    free = e[before] + effect[before]  # the error without v
     size = np.maximum(rms_by_octave(e[before]), TINY)
-    kept = rms_by_octave(free - law.Q.apply(free))  # (1 - Q) e_free
-    bound = 1 - law.gain + law.gain * (sigma + kept / size)  # (1)
+    bound = 1 - law.gain + law.gain * (sigma + rms_by_octave(kept[before]) / size)  # (1)
     off = rms_by_octave(spread[k] - spread[before])  # by the radius of P
-    promised = (rms_by_octave(free - effect[k]) + off) / size  # (2)
+    promised = (rms_by_octave(e[before] + effect[before] - effect[k]) + off) / size  # (2)
     measured = rms_by_octave(e[k]) / size
-    return pd.DataFrame(
-        {
-            "bound": bound,
-            "predicted": promised,
-            "measured": measured,
-            "frequency": np.append(frequency[1:], np.pi) / law.Ts,
-            "excess": size * np.maximum(measured - np.maximum(bound, promised), 0),
-        }
-    )
+    return {
+        "bound": bound,
+        "predicted": promised,
+        "measured": measured,
+        "frequency": np.append(frequency[1:], np.pi) / law.Ts,
+        "excess": size * np.maximum(measured - np.maximum(bound, promised), 0),
+    }
 
 
-def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
+def plant_differs(law: Law, sigma, trials: SimpleNamespace) -> dict:
     """F test, octave by octave, of errors against what an earlier one promises.
 
     The last trial is compared with the one before and with the best so far, and the second one with
@@ -202,25 +203,25 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     prediction by noise alone, independent from trial to trial, by less than the promise allows, or
     by a disturbance that grows from trial to trial, by as much in each.
     """
-    e, size, last = trials.e.values, trials.rms.values, trials.sizes["trial"] - 1
+    e, size, last = trials.e, trials.rms, len(trials.e) - 1
     if last < 2:  # noise is known from two changes on
         return {}
-    changes, expected = np.diff(e, axis=0), -np.diff(trials.effect.values, axis=0)
+    changes, expected = np.diff(e, axis=0), -np.diff(trials.effect, axis=0)
     came, noise, freedom = unexplained(changes, expected)
     noise = noise + (ROUNDING * np.abs(e[last]).max()) ** 2
     for before, k in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
         errors = errors_by_octave(law, sigma, trials, before, k)
-        excess = errors.excess.values
+        excess = errors["excess"]
         p = chance_of_excess(excess / (k - before), noise, freedom, last)
         significant = excess * (p < SIGNIFICANCE)
         worst = significant.argmax()
         if significant[worst] > EXCESS * size[0]:
             channel = np.abs(came[worst] - 1).argmax()
             return {
-                "trials": trials.trial.values[[before, k]],
+                "trials": trials.trial[[before, k]],
                 "came": came[worst, channel],
-                "output": trials.output.values[channel],
-                **errors.loc[worst],
+                "channel": channel,
+                **{name: values[worst] for name, values in errors.items()},
             }
     return {}
 
