@@ -88,7 +88,7 @@ RIGHT = {
 FURTHER = {
     Rod: {"density": [1e12], "sections": [0, 1001], "sensors": [(0.1, 0.5), ()]},
     rodlib.midr: {"degree": [0, 21]},
-    rodlib.sampled_response: {"omega": [[-1e-3], [3.2]], "Ts": [0.0]},
+    rodlib.sampled_response: {"omega": [[-1e-3], [3.2]], "Ts": [0.0, 1e-7]},
     rodlib.finite_volumes: {"cells": [0, 1001]},
     rodlib.paper_loop: {"rod": [Rod(sections=3), Rod(sensors=(0.1,))], "Ts": [1e-5, 1e4, np.inf]},
     rodlib.assumed_reference: {"samples": [0]},

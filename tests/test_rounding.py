@@ -21,6 +21,7 @@ def test_numbers_move_by_a_few_units_pairs_and_symmetric_matrices_remain_such():
     assert np.mean(moved != rounding.move(result, 2)) > 0.8
     part, first_row = result[:5], result[:1]  # in an operand, and thus exact
     np.testing.assert_array_equal(rounding.move(part, 1, [first_row])[:1], first_row)
+    assert rounding.move("text", 1) == "text" and rounding.move(7, 1) == 7
 
 
 def test_a_varied_process_moves_the_last_digits():

@@ -42,11 +42,9 @@ def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
     np.testing.assert_allclose(held, expected, rtol=0, atol=1e-12)
 
 
-def test_q_at_z_is_its_response_on_the_circle_and_the_same_inside_and_outside(Q):
-    omega = np.array([[0.0, 0.05], [0.1, 3.0]])
-    expected = Q.frequency_response(omega.ravel()).reshape(2, 2)
-    np.testing.assert_allclose(Q(np.exp(1j * omega)), expected, atol=1e-12)
-    assert Q(0.9) == pytest.approx(Q(1 / 0.9), rel=1e-9)
+def test_q_at_z_is_the_same_inside_and_outside_the_circle(Q):
+    z = np.array([[0.9, -0.5], [0.5j, 2.0]])
+    np.testing.assert_allclose(Q(z), Q(1 / z), rtol=1e-9)
 
 
 def test_coefficients_cannot_be_changed_behind_the_filter():

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -192,14 +193,12 @@ def synthesise(
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
 
-    def designed_with(Q):
-        response = response_of(P, omega, Ts, uncertainty, scale, Q)
-        return designed(pose(response, Q, base=base, **choices), base)
+    known = partial(response_of, P, omega, Ts, uncertainty, scale)
 
-    if Q is not None:
-        return warned(designed_with(Q))
-    response = response_of(P, omega, Ts, uncertainty, scale)
-    return warned(without_Q(response, M_max, designed_with))
+    def designed_with(Q):
+        return designed(pose(known(Q), Q, base=base, **choices), base)
+
+    return warned(without_Q(known(), M_max, designed_with) if Q is None else designed_with(Q))
 
 
 def without_Q(response, M_max, designed_with) -> Synthesis:

@@ -52,8 +52,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
                 'gain of the least peak; with a bound on L, synthesise(objective="peak")'
             )
     known = choices.pop("uncertainty", None), choices.pop("scale", None)
-    response = response_of(P, omega, Ts, *known, Q)
-    problem = pose(response, Q, objective="peak", L_max=None, **choices)
+    problem = pose(response_of(P, omega, Ts, *known, Q), Q, objective="peak", L_max=None, **choices)
     free = certified(problem)
     unit = free.sigma_L.max()  # a gain that is enough
     question = replace(problem, objective=replace(problem.objective, kind="gain"))

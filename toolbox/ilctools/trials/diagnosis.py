@@ -83,10 +83,10 @@ def _first_finding(test, trials, first):
         alike, names = alike.assign(rms=rms_of(alike.e)), alike.output.values
         signals = {name: x.values for name, x in alike.variables.items() if "trial" in x.dims}
         for k, since in begins:
-            now = SimpleNamespace(**{name: x[since : k + 1] for name, x in signals.items()})
-            if values := test(now):
+            now = {name: x[since : k + 1] for name, x in signals.items()}
+            if values := test(SimpleNamespace(**now, output=names)):
                 where = f"{', '.join(names)}: " if len(groups) > 1 else ""
-                return {"where": where} | values | {"output": names[values.get("channel", 0)]}
+                return {"where": where} | values
     return {}
 
 
@@ -220,7 +220,7 @@ def plant_differs(law: Law, sigma, trials: SimpleNamespace) -> dict:
             return {
                 "trials": trials.trial[[before, k]],
                 "came": came[worst, channel],
-                "channel": channel,
+                "output": trials.output[channel],
                 **{name: values[worst] for name, values in errors.items()},
             }
     return {}

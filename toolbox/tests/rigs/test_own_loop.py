@@ -72,7 +72,7 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, model
     """Without noise rounding is no sign of a loop that is not linear."""
     excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 20)
     measured = measured_response(shake(RestartingModel(model, noise=noise), loop, excitation))
-    assert measured.distortion.max() < 0.01
+    assert measured.distortion.max() <= 3 * measured.noise.max()
     omega = np.append([0.0, 0.1, 1.0], measured.omega)
     response, radius = measured.on(omega)
     truth = KNOWN.frequency_response(omega)

@@ -54,7 +54,9 @@ def check_multipliers(problem, value, U, V, cuts):
         assert lower_bound(problem, wrong(U, share), wrong(V, share), N) < value * (1 + 1e-7)
 
 
-@pytest.mark.parametrize(("shape", "objective", "kind"), CASES)
+@pytest.mark.parametrize(
+    ("shape", "objective", "kind"), [*CASES, ((2, "full"), "weighted", "plain")]
+)
 def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
     m, structure = shape
     P, Q, omega, choices = question(m, kind, m)
@@ -80,7 +82,7 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
         sigma = sigma_of_M(omega, nominal, Q, response_of(ours.filter.coefficients, omega))
         weights = ours.problem.objective.weights
         assert ours.value == pytest.approx(weights @ sigma, rel=1e-9)
-    if theirs > 1e-3:
+    if kind != "plain" and theirs > 1e-3:
         check_multipliers(problem, theirs, U, V, cuts)
 
 
