@@ -170,7 +170,7 @@ def test_a_drift_is_within_the_radius_and_said(loop, quick, slope):
     drifting, still = (measured_response(log_of(loop, quick, y + x)) for x in (ramp, 0.0))
     moved = off(drifting.response, still.response)
     assert np.all(moved < drifting.radius()) and drifting.radius()[0] > 2 * still.radius()[0]
-    assert drifting.distortion[0] > 5 * drifting.noise[0] and still.distortion[0] < still.noise[0]
+    assert drifting.distortion[0] > 5 * drifting.noise[0] and still.distortion.min() == 0
 
 
 @pytest.mark.parametrize("lines", [40, 60, 200])

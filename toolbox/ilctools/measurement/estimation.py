@@ -232,7 +232,7 @@ def estimated_response(
     noted = record.source == "w" or all("reference" in log for log in logs)
     fits, contradicted, apart = [], [], 0.0
     for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):
-        groups = record.of_output(i)
+        groups = [group._replace(y=group.y[..., [i]]) for group in record.groups]
         fits.append(regression(groups, record.direct, record.delay, row))
         if said := sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1]):
             words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])

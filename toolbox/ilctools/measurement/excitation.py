@@ -65,17 +65,12 @@ class Excitation:
     @cached_property
     def signals(self) -> np.ndarray:
         """The signal w of each experiment, shape (experiment, time, input)."""
-        return np.tile(self._period, (1, self.periods + 1, 1))
-
-    @cached_property
-    def _period(self):
-        """One period of it."""
         envelopes = _envelopes(np.array(self.phases), self.harmonics, self.period)
         experiment = np.arange(self.channels)
         turns = np.exp(2j * np.pi * np.outer(experiment, experiment) / self.channels)
         waves = np.real(np.einsum("ei,rit->reti", turns, envelopes))
         waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
-        return waves.reshape(-1, self.period, self.channels)
+        return np.tile(waves.reshape(-1, self.period, self.channels), (1, self.periods + 1, 1))
 
     def __repr__(self):
         return (

@@ -61,10 +61,6 @@ class Record:
         """Samples of the longest trial."""
         return longest_of(self.groups)
 
-    def of_output(self, i: int) -> list[Trials]:
-        """With one output only."""
-        return [group._replace(y=group.y[..., [i]]) for group in self.groups]
-
     def __str__(self):
         trials = sum(len(group.y) for group in self.groups)
         return (

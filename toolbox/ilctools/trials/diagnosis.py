@@ -80,8 +80,8 @@ def _first_finding(test, trials, first):
     begins = [(k, since) for k, since in enumerate(successions(trials)) if first - 1 <= k > since]
     for channels in groups:
         alike = trials.isel(channel=channels)
-        alike, names = alike.assign(rms=rms_of(alike.e)), alike.output.values
         signals = {name: x.values for name, x in alike.variables.items() if "trial" in x.dims}
+        signals["rms"], names = rms_of(alike.e).values, alike.output.values
         for k, since in begins:
             now = {name: x[since : k + 1] for name, x in signals.items()}
             if values := test(SimpleNamespace(**now, output=names)):
