@@ -23,7 +23,7 @@ def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
 
 
 @pytest.mark.parametrize(
-    ("samples", "trials", "rest"), [(120, 1, 0), (120, 3, 0), (120, 2, 15), (1, 1, 0)]
+    ("samples", "trials", "rest"), [(300, 1, 0), (120, 3, 0), (120, 2, 15), (1, 1, 0)]
 )
 def test_lanczos_finds_the_norm_of_the_matrix(loop, Q, samples, trials, rest):
     L = LearningFilter(published.matrix("L_diagonal"), 1.0, "hold")

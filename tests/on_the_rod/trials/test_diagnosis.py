@@ -172,11 +172,11 @@ def test_other_references_and_noise_alone_are_no_growth(cases, free):
 
 @pytest.mark.parametrize(("gain", "moved"), [(2.0, "2"), (0.3, "0.3")])
 def test_another_gain_of_P_is_noticed_in_trial_3(gain, moved, free):
-    """After two of another task, which do not count. Of twice the gain e changes its sign."""
-    plant, noise = gain * free[0].P, 0.02 * white(1, 5, 600, 1)
-    tasks = np.outer([0.1, 0.1, 1, 1, 1], free[2])[..., None]
-    with pytest.warns(UserWarning, match=f"trial 5 has .* trial [34];.* {moved} in outlet came"):
-        run_trials(*free[:2], tasks, None, 5, plant=plant, noise=noise)
+    """After one of another task, which does not count. Of twice the gain e changes its sign."""
+    plant, noise = gain * free[0].P, 0.02 * white(1, 4, 600, 1)
+    tasks = np.outer([0.1, 1, 1, 1], free[2])[..., None]
+    with pytest.warns(UserWarning, match=f"trial 4 has .* trial [23];.* {moved} in outlet came"):
+        run_trials(*free[:2], tasks, None, 4, plant=plant, noise=noise)
     run_trials(*free, 2, plant=plant)  # in the first two the noise is not known
 
 

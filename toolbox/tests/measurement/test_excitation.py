@@ -38,8 +38,7 @@ def test_any_excitation_keeps_what_it_promises(lowest, decades, periods, amplitu
 
 def test_peaks_are_low():
     """Random phases have a crest factor of three; of two channels one experiment is enough."""
-    loop = ClosedLoop(Ts=1.0, outputs=[*"abc"])
-    excitation = multisine(loop, 4e-3, 0.3, 2.0, 9)
+    excitation = multisine(ClosedLoop(Ts=1.0, outputs=[*"abc"]), 4e-3, 0.3, 2.0, 9)
     assert 2.0 / np.std(excitation.signals) < 2.2
 
 

@@ -89,7 +89,7 @@ def test_the_least_gain_of_a_lag_is_that_of_cvxpy():
     Ts, order = 1e-3, 3
     omega = np.geomspace(1e-3, np.pi, 100) / Ts
     Q = zero_phase_butterworth(2, 300.0, Ts)
-    design = least_gain(lag(Ts=Ts), Q, omega, Ts, order=order)
+    design = least_gain(lag(Ts=Ts), Q, omega, order=order, scale=[2.0])
     z = np.exp(1j * omega * Ts)
     L = np.power.outer(z, np.arange(1, order + 1)) @ (c := cp.Variable(order))
     M = cp.multiply(Q.frequency_response(omega), 1 - cp.multiply(0.1 / (z - 0.9), L))
