@@ -66,6 +66,8 @@ def create(root: Path) -> None:
         run([python, *PIP, "--require-hashes", "-r", lock])
     editable = [word for folder in packages(root) for word in ("-e", folder)]
     run([python, *PIP, "--no-deps", "--no-build-isolation", *editable])
+    # compiled now, and not by each of the processes that start together
+    run([python, "-c", "import control, cvxpy, ipykernel.kernelapp, pandas, xarray"])
     (python.parent / "ready").touch()
 
 

@@ -68,7 +68,8 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """
     width = round(figure.get_figwidth() * figure.get_dpi())
     figure.set_dpi(PIXELS_PER_INCH)
-    figure.draw_without_rendering()
+    if layout := figure.get_layout_engine():
+        layout.execute(figure)
     figure.set_layout_engine("none")  # else computed anew at each drawing
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
     _write(figure, picture, "Software")

@@ -22,7 +22,7 @@ benchmarks cover (docs/estimator.md).
 
 *Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero, and A has as many
 zeros outside as its estimate (Rouche): none, or the plant does not settle. It may, or may not,
-where Re(1 + a) < 0 has a probability of `UNSTABLE` at a frequency.
+where zero is within a standard deviation of Re(1 + a) at a frequency.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ from typing import NamedTuple
 import control
 import numpy as np
 import xarray as xr
-from scipy.special import gammainccinv, ndtri, wrightomega
+from scipy.special import gammainccinv, wrightomega
 
 from ilctools.errors import LogError
 from ilctools.loop.closed import CurrentTrialLoop, Loop
@@ -50,7 +50,6 @@ FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes 
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 ROWS = 300  # of a Hankel matrix, in samples; states at most
 EXACT = 1e-12  # of the largest singular value, below which it is rounding
-UNSTABLE = 0.16  # probability of a zero of A outside, from which it is said
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
 
@@ -106,7 +105,7 @@ class EstimatedResponse(Measured):
 
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
-        shares = ndtri(1 - UNSTABLE) * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
+        shares = np.sqrt(self._own_moments[2][:, 0].max(axis=1))
         for name, fit, share in zip(self.record.outputs, self.fits, shares, strict=True):
             if not fit.stable and (share < 1 or not self.known.any()):
                 raise LogError(f"{name} does not settle: {LOOP}")

@@ -115,7 +115,7 @@ def check_moved(signals, names, what, remedy):
     """Refuse signals, (trial, time, channel) of each record, of which one stands still."""
     still = np.all([np.ptp(x, axis=1).max(axis=0) == 0 for x in signals], axis=0)
     if still.any():
-        words = ", ".join(name for name, one in zip(names, still, strict=True) if one)
+        words = ", ".join(np.array(names)[still])
         raise LogError(f"{what} of {words} never moved: {remedy}")
 
 

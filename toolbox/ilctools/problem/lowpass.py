@@ -1,14 +1,14 @@
 """Q in whatever form it is known: the Butterworth filter (43), or samples."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem import defaults
-from ilctools.response.samples import axis_of
+from ilctools.response.samples import Samples
 
 RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
 IMAGINARY = 1e-6  # relative: imaginary part that the rounding of samples may leave of a real Q
@@ -28,9 +28,11 @@ class SampledQ:
 
     def frequency_response(self, omega) -> np.ndarray:
         """Q at some frequencies, (k,)."""
-        axis = axis_of(self.omega, self.samples[:, None, None])
-        place = axis(np.clip(omega, *self.omega[[0, -1]]))
-        return CubicSpline(axis(self.omega), self.samples)(place)
+        return self._as_response.at(omega)[0][:, 0, 0]
+
+    @cached_property
+    def _as_response(self):
+        return Samples(self.omega, self.samples[:, None, None], 0 * self.samples)
 
 
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:

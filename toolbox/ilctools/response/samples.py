@@ -31,14 +31,18 @@ class Samples:
     radius: np.ndarray  # (n,)
 
     @cached_property
+    def _over(self):
+        return axis_of(self.omega, self.P)
+
+    @property
     def axis(self):
         """Of omega and log omega that over which samples are interpolated."""
-        return axis_of(self.omega, self.P)
+        return self._over[0]
 
     @cached_property
     def missed(self) -> np.ndarray:
         """What splines miss at the samples, beyond the radius, (n,)."""
-        return np.maximum(missed(self.axis(self.omega), self.P) - self.radius, 0)
+        return np.maximum(self._over[1] - self.radius, 0)
 
     def radius_at(self, omega) -> np.ndarray:
         """The radius (k,) by straight lines; beyond the ends as there."""
@@ -61,10 +65,12 @@ class Samples:
 
 
 def axis_of(omega, P):
-    """That of omega and log omega over which splines predict every other sample better."""
-    if omega[0] <= 0 or len(omega) < FEWEST:
-        return np.asarray
-    return min(np.asarray, np.log, key=lambda axis: missed(axis(omega), P).max())
+    """That of omega and log omega over which splines miss every other sample by less; by how much.
+
+    The latter is (n,).
+    """
+    axes = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
+    return min(((axis, missed(axis(omega), P)) for axis in axes), key=lambda pair: pair[1].max())
 
 
 def missed(x, P) -> np.ndarray:
