@@ -96,8 +96,8 @@ def measured_response(
     Shaken, P is the best linear approximation by the robust method: periods show the noise,
     realisations of the phases the noise and what is not linear, and the radius has both; see
     :mod:`ilctools.measurement.excited`. The first period of each experiment is left out. On three
-    plants behind w + c w^3, c from 0 to 1, 1.6 to 5.2 % of the lines were outside their radius of
-    95 %, with two realisations and with six, 40 draws of the phases each.
+    plants behind w + c w^3, c from 0 to 1, 1.4 to 5.2 % of the lines were outside their radius of
+    95 %, with two realisations and with six, twice 40 draws of the phases each.
 
     Examples
     --------
