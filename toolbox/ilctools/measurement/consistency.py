@@ -67,8 +67,7 @@ def contradictions(
         more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
         more, within = max(more, 0), columns[:1] if name in parts else gains
         off = np.sqrt(more / power[np.ix_(within, within)].sum())
-        said = fdtrc(k, n, n * more / k / fit.posterior.rss) < level  # (2)
-        if said and off > SEEN:
+        if off > SEEN and fdtrc(k, n, n * more / k / fit.posterior.rss) < level:  # (2)
             yield name, off
     if not reference and _at_once(fit, level):
         yield FOLLOWS, 1.0

@@ -22,7 +22,7 @@ benchmarks cover (docs/estimator.md).
 
 *Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero, and A has as many
 zeros outside as its estimate (Rouche): none, or the plant does not settle. It may, or may not,
-where zero is within a standard deviation of Re(1 + a) at a frequency.
+where zero is within 1 / `UNSTABLE` standard deviations of Re(1 + a) at a frequency.
 """
 
 from collections.abc import Sequence
@@ -50,6 +50,7 @@ FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes 
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 ROWS = 300  # of a Hankel matrix, in samples; states at most
 EXACT = 1e-12  # of the largest singular value, below which it is rounding
+UNSTABLE = 0.77  # smaller, it is said of fewer plants that do not settle; larger, of more that do
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
 
@@ -105,7 +106,7 @@ class EstimatedResponse(Measured):
 
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
-        shares = np.sqrt(self._own_moments[2][:, 0].max(axis=1))
+        shares = UNSTABLE * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
         for name, fit, share in zip(self.record.outputs, self.fits, shares, strict=True):
             if not fit.stable and (share < 1 or not self.known.any()):
                 raise LogError(f"{name} does not settle: {LOOP}")
@@ -151,10 +152,6 @@ class EstimatedResponse(Measured):
     def _scaled(self, scale):
         return replace(self, units=self.units * scale / scale[:, None])
 
-    def _impulse(self, n):
-        """Impulse response over n samples, shape (outputs, inputs, n)."""
-        return self.units[..., None] * [fit.impulse(n) for fit in self.fits]
-
     def model(self) -> control.StateSpace:
         """The model of lowest order within the joint radius of 99 %.
 
@@ -162,7 +159,8 @@ class EstimatedResponse(Measured):
         (1978) 705-714); a delay is states, too. A LogError if no order is enough.
         """
         radius, rows = self.radius(CONFIDENCE, jointly=True), min(ROWS, self.record.longest - 1)
-        full, S = control.eigensys_realization(self._impulse(2 * rows + 1), rows, rows, rows)
+        impulse = self.units[..., None] * [fit.impulse(2 * rows + 1) for fit in self.fits]
+        full, S = control.eigensys_realization(impulse, rows, rows, rows)
         inputs, outputs = self.names
         for n in range(1 + np.count_nonzero(S[:rows] > EXACT * S[0])):
             A, B, C = full.A[:n, :n], full.B[:n], full.C[:, :n]
@@ -194,8 +192,8 @@ class EstimatedResponse(Measured):
         apart = largest_singular_values(P - other.response)
         likely = apart / np.hypot(radius, other.radius(CONFIDENCE, jointly=True))
         worst = np.argmax(likely)
-        by = apart[worst] / largest_singular_values(P)[worst] if likely[worst] > 1 else 0.0
-        return Agreement(bool(likely[worst] > 1), float(by))
+        contradicts, by = bool(likely[worst] > 1), apart[worst] / largest_singular_values(P)[worst]
+        return Agreement(contradicts, float(contradicts * by))
 
     def _basis(self, omega, confidence):
         lines = [
