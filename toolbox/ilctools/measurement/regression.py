@@ -229,7 +229,8 @@ def records(groups, layout, beside=None) -> Iterator[tuple[np.ndarray, bool]]:
     for X, y, mean in _regressors(groups, layout):
         rows = np.vstack([X, y, *([next(beside).T] if beside else [])])[:, layout.skipped :]
         line = np.linalg.qr(np.vander(np.linspace(-1, 1, rows.shape[1]), 2))[0]
-        yield (rows - rows @ line @ line.T).T, mean
+        rows -= rows @ line @ line.T
+        yield rows.T, mean
 
 
 class _Normal(NamedTuple):
