@@ -22,7 +22,7 @@ benchmarks cover (docs/estimator.md).
 
 *Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero, and A has as many
 zeros outside as its estimate (Rouche): none, or the plant does not settle. It may, or may not,
-where zero is within 1 / `UNSTABLE` standard deviations of Re(1 + a) at a frequency.
+where zero is within `UNSTABLE` standard deviations of Re(1 + a) at a frequency.
 """
 
 from collections.abc import Sequence
