@@ -31,11 +31,11 @@ cannot be known then: by all of it.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.linalg import helmert, solve_triangular
+from scipy.linalg import block_diag, helmert, solve_triangular
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from ilctools.measurement.regression import Regression, Trials, contrasts, records
+from ilctools.measurement.regression import Regression, Trials, contrasts, longest_of, products
 
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
@@ -60,16 +60,18 @@ def contradictions(
     m, parts = groups[0].u.shape[2], [name for group in groups for name in _parts(group)]
     # the columns of each
     gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
-    q, J, power = _score(fit, groups, _columns(fit, groups, len(parts)))
+    g = fit.impulse(longest_of(groups)).T
     last, n, level = m, fit.data.count.sum(), FALSE_ALARM / len(sets)
-    for name, k in sets.items():
-        columns, last = [*range(last, last + k)], last + k
-        more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
-        more, within = max(more, 0), columns[:1] if name in parts else gains
-        off = np.sqrt(more / power[np.ix_(within, within)].sum())
-        if off > SEEN and fdtrc(k, n, n * more / k / fit.posterior.rss) < level:  # (2)
-            yield name, off
-    if not reference and _at_once(fit, level):
+    if fit.stable:
+        q, J, power = _score(fit, groups, _columns(fit, groups, g, len(parts)))
+        for name, k in sets.items():
+            columns, last = [*range(last, last + k)], last + k
+            more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
+            more, within = max(more, 0), columns[:1] if name in parts else gains
+            off = np.sqrt(more / power[np.ix_(within, within)].sum())
+            if off > SEEN and fdtrc(k, n, n * more / k / fit.posterior.rss) < level:  # (2)
+                yield name, off
+    if not reference and _at_once(fit, g[: 2 * fit.data.layout.knots[0][-1]], level):
         yield FOLLOWS, 1.0
 
 
@@ -82,15 +84,13 @@ def score_test(q, J, power, columns) -> float:
 
 def _score(fit, groups, added):
     """q and J, (1), and Z' W Z, of one gain more of each input, and of the columns of records."""
-    post, layout, mean = fit.posterior, fit.data.layout, fit.mean
-    power, q, across, p = 0.0, 0.0, 0.0, len(mean)
+    post, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
+    (single, means), _ = products(groups, layout, added)  # of [X, y, columns]
+    G = single + post.weight * means
     gains = mean[:, None] * (layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
-    for columns, repeats in records(groups, layout, added):
-        X, y, Z = columns[:, :p], columns[:, p], columns[:, p + 1 :]
-        Z, W = np.hstack([X @ gains, Z]), post.weight if repeats else 1.0
-        power = power + W * Z.T @ Z
-        q = q + W * Z.T @ (y - X @ mean)
-        across = across + W * X.T @ Z
+    Z = block_diag(gains, np.eye(len(G) - p)[:, 1:])
+    across, power = G[:p] @ Z, Z.T @ G @ Z
+    q = Z.T @ G[p] - mean @ across
     known = solve_triangular(post.U, post.size[:, None] * across, trans=1)
     return q, power - known.T @ known, power + 1e-300
 
@@ -100,23 +100,22 @@ def _parts(group):
     return group.names if len(group.y) > 1 else [f"the course of {group.names[0]}"]
 
 
-def _columns(fit, groups, parts):
-    """Z of each record, (time, column): of each part, and of the other hypotheses."""
+def _columns(fit, groups, g, parts):
+    """Z of each record, transposed, (column, time): of each part, and of other hypotheses."""
     first = 0
     for group in groups:
-        (K, N, m), u = group.u.shape, group.u
-        g = fit.impulse(N).T if fit.stable else np.zeros((N, m))
-        y = _through(g, u).sum(axis=2, keepdims=True)
+        K, N, _ = group.u.shape
+        y = _through(g, group.u).sum(axis=2, keepdims=True)
         own = _gain_and_delay(y) * (np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0)
         own, *shared = (
             _through(fit.denominator[:, None], z - z[:, :1])
-            for z in (own, _through(g, _last_move(u)), _curve(g, u, y))
+            for z in (own, _through(g, _last_move(group.u)), _curve(g, group.u, y))
         )
         shared = contrasts(np.concatenate(shared, axis=2))
         of_parts = np.zeros((N, parts, 2))
         for weights, Z in zip(helmert(K, full=True), shared, strict=True):
             of_parts[:, first : first + K] = np.moveaxis(weights[:, None, None] * own, 0, 1)
-            yield np.hstack([of_parts.reshape(N, -1), Z])
+            yield np.hstack([of_parts.reshape(N, -1), Z]).T
         first += K
 
 
@@ -144,17 +143,12 @@ def _last_move(u):
     return np.take_along_axis(moves, last, 1) - moves[:, :1]
 
 
-def _at_once(fit, level):
-    """Whether y answers an input at once, as by -1 / C."""
-    (share, explained), n = _first(fit), fit.data.count.sum()
+def _at_once(fit, g, level):
+    """Whether y answers an input at once, as by -1 / C: relative to the sum of g."""
+    layout, n = fit.data.layout, fit.data.count.sum()
+    lags = (layout.c == 1)[:, None] & (layout.kind[:, None] == 1 + np.arange(g.shape[1]))
+    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * lags, trans=1)
+    explained = g[0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rss
+    share = g[0] / g.sum(axis=0)  # slow parts answer later
     odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > EXACT)
     return np.any(odd & (fdtrc(1, n, n * explained) < level))
-
-
-def _first(fit):
-    """First coefficient of each impulse response: relative to their sum, and what it explains."""
-    layout, g = fit.data.layout, fit.impulse(2 * fit.data.layout.knots[0][-1])
-    lags = (layout.c == 1)[:, None] & (layout.kind[:, None] == 1 + np.arange(len(g)))
-    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * lags, trans=1)
-    explained = g[:, 0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rss
-    return g[:, 0] / g.sum(axis=1), explained  # slow parts answer later

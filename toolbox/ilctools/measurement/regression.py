@@ -50,7 +50,7 @@ Haykin, IEEE Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one).
 from x by (3), and from the points, at which P is another. No number is random.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -71,6 +71,7 @@ SLOW = np.array([1.0, 3.0])  # longest records in time constants of slow parts
 CLOSE, STEP = 40, 8
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
+STRETCH = 2048  # samples whose regressors fit into a processor's cache
 # Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, rho, and of
 # log(c s^2) of slow parts: a twentieth of the output's size, as their motion, like drift's, says no
 # other.
@@ -147,9 +148,8 @@ def _layout(groups, direct, delays):
     start, late = _knots(0, reach, CLOSE // 6, STEP // 2), delays.max()
     start = np.unique(np.append(0, late + start))
     starts = records if records * len(start) <= STARTS else 0
-    blocks = [(0, 0, past)]  # kind, c, knots; of slow parts and drifts D = c
-    for j in range(1, m + 1):
-        blocks += [(j, 1, moves), (j, 6, 0 * poles)]
+    inputs = range(1, m + 1)  # kind, c, knots; of slow parts and drifts D = c
+    blocks = [(0, 0, past), *((j, 1, moves) for j in inputs), *((j, 6, 0 * poles) for j in inputs)]
     blocks += [(m + 1, 2, start)] * starts + [(m + 2, 3, np.zeros(KNOTS))] * len(groups)
     kind, c, lag, gap = np.hstack([_of_block(*block) for block in blocks])
     lag[c == 2] = np.maximum(lag[c == 2] - late, 0)
@@ -164,8 +164,8 @@ def _of_block(kind, c, knots):
     return np.vstack([both, knots - knots[0], np.where(gap > 0, gap, np.inf)])
 
 
-def lagged(signal: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """T(u) H, transposed: a signal (time,) by each column of H, (knot, time).
+def lagged(signal: np.ndarray, knots: np.ndarray) -> Callable[[slice], np.ndarray]:
+    """T(u) H, transposed, of a stretch of time: a signal (time,) by each column of H, (knot, time).
 
     A column of H is one from the first knot to its own, and from there falls to zero at the next in
     a straight line: it makes a running sum of u, less the mean of earlier ones.
@@ -174,8 +174,8 @@ def lagged(signal: np.ndarray, knots: np.ndarray) -> np.ndarray:
     sums = np.append(np.zeros(before), np.cumsum(signal))
     lengths, which = np.unique(gap, return_inverse=True)
     means = [uniform_filter1d(sums, n, mode="constant", origin=(n - 1) // 2) for n in lengths]
-    earlier = sliding_window_view(means, N, axis=1)[which, before - 1 - knots]
-    return sums[before - knots[0] :][:N] - earlier
+    now, earlier = sums[before - knots[0] :][:N], sliding_window_view(means, N, axis=1)
+    return lambda stretch: now[stretch] - earlier[which, before - 1 - knots, stretch]
 
 
 def waves(knots: np.ndarray, omega: np.ndarray) -> np.ndarray:
@@ -196,64 +196,59 @@ def contrasts(signal: np.ndarray) -> np.ndarray:
 
 
 def _regressors(groups, layout):
-    """Of each record: X, transposed, (unknown, time), y, and whether they are means over trials."""
-    of_P, starts, drifts = (np.flatnonzero(np.isin(layout.c, c)) for c in ((0, 1, 6), 2, 3))
+    """Of each record: regressors of A and B; others, without lags, (row, time); y; if a mean."""
+    c = layout.c[layout.c > 1]  # of slow parts, starts, drifts
+    starts, drifts = np.flatnonzero(c == 2), np.flatnonzero(c == 3)
     starts = iter(starts.reshape(-1, len(layout.start)))
     for group, drift in zip(groups, drifts.reshape(len(groups), -1), strict=True):
         t, ends = np.arange(group.y.shape[1]), np.linspace(0, group.y.shape[1] - 1, KNOTS + 1)
         signals = zip(contrasts(group.u), contrasts(group.y[..., 0]), strict=True)
         for k, (u, y) in enumerate(signals):
-            X = np.zeros((len(layout.kind), len(t)))
-            X[of_P] = _dynamics(u, y, layout)
+            dynamics = [lagged(x, at) for x, at in zip([-y, *u.T], layout.knots, strict=True)]
+            others = np.zeros((len(c), len(t)))
+            others[c == 6] = [lfilter([0, 1 - p], [1, -p], x) for x in u.T for p in layout.poles]
             if layout.starts:
-                X[next(starts)] = lagged(t == 0, layout.start)
+                others[next(starts)] = lagged(t == 0, layout.start)(slice(None))
             if k == 0:  # which the trials have in common
-                X[drift] = np.clip((t - ends[:-1, None]) / ends[1], 0, 1)
-            yield X, y, k == 0 and len(group.y) > 1
+                others[drift] = np.clip((t - ends[:-1, None]) / ends[1], 0, 1)
+            yield dynamics, others, y, int(k == 0 and len(group.y) > 1)
 
 
-def _dynamics(u, y, layout):
-    """Regressors of A and of each B, with its slow parts, from signals (time, m) and (time,)."""
-    (past, *moved), poles = layout.knots, layout.poles
-    parts = [lagged(-y, past)]
-    for x, knots in zip(u.T, moved, strict=True):
-        parts += [lagged(x, knots), [lfilter([0, 1 - p], [1, -p], x) for p in poles]]
-    return np.vstack(parts)
+def products(groups, layout, beside=None) -> tuple[list[np.ndarray], np.ndarray]:
+    """Of [X, y] and more rows of each record, `beside`, (row, time), without offset and slope.
 
-
-def records(groups, layout, beside=None) -> Iterator[tuple[np.ndarray, bool]]:
-    """[X, y] and columns `beside` it, (time, column), and whether they are of a mean over trials.
-
-    Of each record, without offset and slope.
+    Of differences and single records; and of means over trials. And how many samples each are of.
     """
-    for X, y, mean in _regressors(groups, layout):
-        rows = np.vstack([X, y, *([next(beside).T] if beside else [])])[:, layout.skipped :]
-        line = np.linalg.qr(np.vander(np.linspace(-1, 1, rows.shape[1]), 2))[0]
-        rows -= rows @ line @ line.T
-        yield rows.T, mean
+    total, count = [0.0, 0.0], np.zeros(2)
+    for dynamics, others, y, mean in _regressors(groups, layout):
+        own, first, N = 0.0, layout.skipped, len(y)
+        line = np.vander(np.linspace(-1, 1, N), 2) * (np.arange(N) >= first)[:, None]
+        others = np.vstack([others, y, *(next(beside) if beside else ()), np.linalg.qr(line)[0].T])
+        for t in range(first, N, STRETCH):
+            now = slice(t, t + STRETCH)
+            rows = np.vstack([*(part(now) for part in dynamics), others[:, now]])
+            own = own + rows @ rows.T
+        total[mean] = total[mean] + own[:-2, :-2] - own[:-2, -2:] @ own[-2:, :-2]
+        count[mean] += N - first - 2
+    return total, count
 
 
 class _Normal(NamedTuple):
     """Products of [X, y]; of differences and single records, and of means over trials."""
 
-    products: np.ndarray  # (2, unknown + 1, unknown + 1)
+    products: list[np.ndarray]  # (unknown + 1, unknown + 1) each
     count: np.ndarray  # n, (2,)
     layout: _Layout
 
 
 def _normal(groups, layout, gain):
-    p = len(layout.kind)
-    products, count = np.zeros((2, p + 1, p + 1)), np.zeros(2)
-    for columns, mean in records(groups, layout):
-        products[int(mean)] += columns.T @ columns
-    for K, N, _ in (group.y.shape for group in groups):
-        count += (N - layout.skipped - 2) * np.array([K - (K > 1), K > 1])
+    p, (total, count) = len(layout.kind), products(groups, layout)
     A, *B = (wave[0].real for wave in layout.waves(np.zeros(1)))
     for j, known in enumerate(() if gain is None else gain):  # B_j(1) = gain A(1)
         row = np.append(np.zeros(p), known)
         row[:p][layout.kind == 0], row[:p][layout.kind == 1 + j] = -known * A, B[j]
-        products[0] += 1e6 * np.outer(row, row)  # by a thousandth of the noise
-    return _Normal(products, count, layout)
+        total[0] += 1e6 * np.outer(row, row)  # by a thousandth of the noise
+    return _Normal(total, count, layout)
 
 
 class _Posterior(NamedTuple):

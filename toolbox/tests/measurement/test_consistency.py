@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from problems import memory
-from scipy.signal import lfilter
+from records import dense
+from scipy.signal import detrend, lfilter
 
 from ilctools.measurement import consistency as module
 from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
-from ilctools.measurement.regression import Trials, records, regression
+from ilctools.measurement.regression import Trials, regression
 
 
 def trials(u, y):
@@ -32,12 +33,12 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     groups = trials(u, lagged(u, rng))
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
-    q, J, power = module._score(fit, groups, module._columns(fit, groups, 3))
-    rows = list(records(groups, layout, module._columns(fit, groups, 3)))
-    columns = np.concatenate([columns for columns, _ in rows])
-    X, y, added = np.split(columns, [len(fit.mean), len(fit.mean) + 1], axis=1)
-    Z, y = np.hstack([X @ (fit.mean * (layout.kind == 1))[:, None], added]), y[:, 0]
-    means = np.concatenate([np.full(len(columns), mean) for columns, mean in rows])
+    added = list(module._columns(fit, groups, fit.impulse(80).T, 3))
+    q, J, power = module._score(fit, groups, iter(added))
+    rows, means = dense(groups, layout)
+    X, y = rows[:, :-1], rows[:, -1]
+    gain = X @ (fit.mean * (layout.kind == 1))
+    Z = np.column_stack([gain, np.hstack([detrend(Z) for Z in added]).T])
     V = np.diag(1 / np.where(means, post.weight, 1.0)) + X * post.size**2 @ X.T
     unit = np.sqrt(power.diagonal())
     by_hand = np.linalg.solve(V, np.column_stack([y, Z]))

@@ -4,17 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from records import dense
 from scipy.optimize import approx_fprime
-from scipy.signal import lfilter
+from scipy.signal import detrend, lfilter
 
 from ilctools.measurement import regression as module
-from ilctools.measurement.regression import (
-    Trials,
-    lagged,
-    negative_log_posterior,
-    records,
-    regression,
-)
+from ilctools.measurement.regression import Trials, lagged, negative_log_posterior, regression
 
 
 def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
@@ -25,19 +20,21 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
     return Trials(u, y[..., None], tuple(f"trial {k}" for k in range(trials)))
 
 
-def stacked(groups, layout):
-    """X and y of all records, which rows are of means, and degrees of freedom."""
-    columns, means = zip(*records(groups, layout), strict=True)
-    means = np.repeat(means, [len(one) for one in columns])
-    X, y = np.split(np.concatenate(columns), [-1], axis=1)
-    return X, y[:, 0], means, len(y) - 2 * len(columns)
-
-
-@pytest.mark.parametrize(("lengths", "trials"), [((60,), 1), ((60,), 3), ((40, 60), 1)])
-def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
+@pytest.mark.parametrize(
+    ("lengths", "trials", "starts", "kept"),
+    [((60,), 1, 300, 60), ((60,), 3, 300, 180), ((40, 60), 1, 300, 100), ((60,), 3, 30, 135)],
+)
+def test_the_likelihood_is_that_of_the_normal_distribution(
+    monkeypatch, lengths, trials, starts, kept
+):
+    """Of all samples, some at a time; where starts are too many, without the first."""
+    monkeypatch.setattr(module, "STARTS", starts)
+    monkeypatch.setattr(module, "STRETCH", 16)
     groups = [trials_of(trials, N, seed=N) for N in lengths]
     data = module._normal(groups, module._layout(groups, True, np.array([0, 7])), None)
-    X, y, means, count = stacked(groups, data.layout)
+    rows, means = dense(groups, data.layout)
+    X, y, count = rows[:, :-1], rows[:, -1], len(rows) - 2 * len(lengths) * trials
+    assert len(rows) == kept
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
     ratio = 1 / (1 + np.exp(0.7)) if means.any() else 1.0
     weight = np.where(means, ratio, 1.0)
@@ -58,7 +55,7 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
     variance, slow = np.split(np.exp(layout.prior(eta)[0])[layout.kind == 1], [-2])
     np.testing.assert_allclose(slow, np.exp(0.3))
     lags = np.arange(layout.knots[1][-1] + 1)
-    moves = lagged(lags == 0, layout.knots[1]).T
+    moves = lagged(lags == 0, layout.knots[1])(slice(None)).T
     covariance = moves * variance @ moves.T
     lag = np.arange(len(covariance) - 7)
     kernel = np.exp(scale - np.maximum.outer(lag, lag) / np.exp(time))
@@ -76,18 +73,10 @@ def test_regressors_impulse_and_frequency_response_are_those_of_one_model():
     y = sum(
         np.convolve(u, g)[:60] for u, g in zip(groups[0].u[0].T, model.impulse(60), strict=True)
     )
-    ((columns, _),) = records(groups, layout, iter([y[:, None]]))
-    np.testing.assert_allclose(columns[:, :-2] @ x, columns[:, -1], atol=1e-9)
+    X = dense(groups, layout)[0][:, :-1]
+    np.testing.assert_allclose(X @ x, detrend(y), atol=1e-9)
     spectrum = np.exp(-1j * np.outer(omega, np.arange(3000))) @ model.impulse(3000).T
     np.testing.assert_allclose(spectrum, model.response(omega), atol=1e-9)
-
-
-def test_where_starts_are_too_many_first_samples_are_left_out():
-    for trials, kept in ((5, 60), (100, 45)):
-        groups = [trials_of(trials)]
-        layout = module._layout(groups, True, np.zeros(2, int))
-        assert [len(columns) for columns, _ in records(groups, layout)] == [kept] * trials
-        assert np.any(layout.kind == 3) == (kept == 60)
 
 
 def test_the_covariance_of_P_is_that_of_the_coefficients_by_their_slopes():
@@ -118,10 +107,10 @@ def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparamete
     fit = regression(groups, direct=True)
     best, S = module._polished(module._fitted(groups, True, np.zeros(2, int), None))
     data, expected = best.data, 0.0
-    b, s = data.products[0, :, -1][:-1], data.products[0, -1, -1]
+    b, s = data.products[0][:-1, -1], data.products[0][-1, -1]
     points = best.eta + module.HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])
     for eta in np.clip(points, -module.BOUND, module.BOUND):
-        precision = data.products[0, :-1, :-1] + np.diag(np.exp(-data.layout.prior(eta)[0]))
+        precision = data.products[0][:-1, :-1] + np.diag(np.exp(-data.layout.prior(eta)[0]))
         mean = np.linalg.solve(precision, b)
         variance = (s - mean @ b) / data.count[0]
         off = mean - fit.mean
