@@ -219,18 +219,22 @@ def products(groups, layout, beside=None) -> tuple[list[np.ndarray], np.ndarray]
 
     Of differences and single records; and of means over trials. And how many samples each are of.
     """
-    total, count = [0.0, 0.0], np.zeros(2)
+    total, count, first = [0.0, 0.0], np.zeros(2), layout.skipped
     for dynamics, others, y, mean in _regressors(groups, layout):
-        own, first, N = 0.0, layout.skipped, len(y)
-        line = np.vander(np.linspace(-1, 1, N), 2) * (np.arange(N) >= first)[:, None]
-        others = np.vstack([others, y, *(next(beside) if beside else ()), np.linalg.qr(line)[0].T])
-        for t in range(first, N, STRETCH):
-            now = slice(t, t + STRETCH)
-            rows = np.vstack([*(part(now) for part in dynamics), others[:, now]])
-            own = own + rows @ rows.T
-        total[mean] = total[mean] + own[:-2, :-2] - own[:-2, -2:] @ own[-2:, :-2]
-        count[mean] += N - first - 2
+        line = np.linalg.qr(np.vander(np.linspace(-1, 1, len(y) - first), 2))[0]
+        line = np.pad(line, ((first, 0), (0, 0)))
+        others = np.vstack([others, y, *(next(beside) if beside else ())])
+        stretches = [slice(t, t + STRETCH) for t in range(first, len(y), STRETCH)]
+        along = sum(_rows(dynamics, others, now) @ line[now] for now in stretches)
+        for now in stretches:
+            rows = _rows(dynamics, others, now) - along @ line[now].T
+            total[mean] = total[mean] + rows @ rows.T
+        count[mean] += len(y) - first - 2
     return total, count
+
+
+def _rows(dynamics, others, now):
+    return np.vstack([*(part(now) for part in dynamics), others[:, now]])
 
 
 class _Normal(NamedTuple):

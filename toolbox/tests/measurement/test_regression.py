@@ -22,7 +22,7 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
 
 @pytest.mark.parametrize(
     ("lengths", "trials", "starts", "kept"),
-    [((60,), 1, 300, 60), ((60,), 3, 300, 180), ((40, 60), 1, 300, 100), ((60,), 3, 30, 135)],
+    [((60,), 3, 300, 180), ((40, 60), 1, 300, 100), ((60,), 3, 30, 135)],
 )
 def test_the_likelihood_is_that_of_the_normal_distribution(
     monkeypatch, lengths, trials, starts, kept
@@ -37,11 +37,10 @@ def test_the_likelihood_is_that_of_the_normal_distribution(
     assert len(rows) == kept
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
     ratio = 1 / (1 + np.exp(0.7)) if means.any() else 1.0
-    weight = np.where(means, ratio, 1.0)
-    S = np.diag(1 / weight) + X * np.exp(data.layout.prior(eta)[0]) @ X.T
+    S = np.diag(np.where(means, 1 / ratio, 1.0)) + X * np.exp(data.layout.prior(eta)[0]) @ X.T
     rest = y @ np.linalg.solve(S, y)
     by_hand = count / 2 * np.log(rest) + np.linalg.slogdet(S)[1] / 2
-    by_hand += np.log(ratio) * 2 * means.any() / 2  # offset and slope of the mean are free
+    by_hand += np.log(ratio)  # twice its half: offset and slope of the mean are free
     off = eta + module.SIZES * np.log(rest / count) - module.CENTRE
     value, gradient = negative_log_posterior(eta, data)
     assert value == pytest.approx(by_hand + np.sum((off / module.WIDE) ** 2) / 2, abs=1e-6)
