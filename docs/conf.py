@@ -5,6 +5,8 @@ import re
 from contextlib import chdir
 from pathlib import Path
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
 project = html_title = "The heated rod"
 
 extensions = [
@@ -97,13 +99,15 @@ def draw_trials(app, exception):
         names["save"] = lambda *arguments: None  # which would close it
         exec(cells[drawn], names)
     figure, trials = names["figure"], len(names["numbers"])
-    figure.draw_without_rendering()
+    figure.set_dpi(144)
+    figure.get_layout_engine().execute(figure)
     figure.set_layout_engine("none")  # the same in all frames, computed once
+    canvas, static = FigureCanvasAgg(figure), Path(app.outdir, "_static")
     for trial in range(trials):
         for column in figure.axes:
             for k, line in enumerate(column.lines, trials - len(column.lines)):
                 line.set(color="black" if k == trial else "0.88", zorder=3 if k == trial else 2)
-        figure.savefig(Path(app.outdir, "_static", f"fig09-trial-{trial + 1}.png"), dpi=144)
+        canvas.print_png(static / f"fig09-trial-{trial + 1}.png")
 
 
 def setup(app):

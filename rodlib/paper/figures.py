@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ilctools.files import folder, replacing
@@ -72,15 +73,10 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
         layout.execute(figure)
     figure.set_layout_engine("none")  # else computed anew at each drawing
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
-    _write(figure, picture, "Software")
+    with replacing(picture) as temporary:  # without the entries that differ each time
+        FigureCanvasAgg(figure).print_png(temporary, metadata={"Software": None})
     if not same_picture(picture, ROOT / "figures" / picture.name):
-        _write(figure, picture.with_suffix(".pdf"), "CreationDate")
+        with replacing(picture.with_suffix(".pdf")) as temporary:
+            figure.savefig(temporary, format="pdf", metadata={"CreationDate": None})
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(picture, width, caption)
-
-
-def _write(figure, path, stamp):
-    """Write a file in the format that its name says, without the entry that differs each time."""
-    kind = {"format": path.suffix[1:], "metadata": {stamp: None}}
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=PIXELS_PER_INCH, **kind)
