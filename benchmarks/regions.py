@@ -100,12 +100,6 @@ def arch(N):
     return np.sin(np.pi * np.minimum(np.arange(N) / (0.8 * N), 1)) ** 2
 
 
-def heater(rng, N):
-    """Off, then on and off for some while each, until the end."""
-    ends = np.cumsum(rng.integers(5, 40, N))
-    return np.searchsorted(ends, np.arange(N), side="right") % 2 * 1.0
-
-
 def backlash(u, gap):
     """What is behind a gap, which begins in its middle (the play operator)."""
     behind, x = np.zeros(len(u)), 0.0
@@ -279,13 +273,6 @@ def saturating(rng, trials=20, N=150):
     return several(u[..., None], y[..., None], "u"), [[plant]]
 
 
-def two_logs(rng, N=100):
-    """The same step test twice, by inputs that hardly differ."""
-    plant, u = lag(rng), np.outer([1, 1.01], steps(rng, N))
-    y = lfilter(*plant, u) + white(rng, (2, N))
-    return several(u[..., None], y[..., None], "u"), [[plant]]
-
-
 noisy = partial(open_loop, excite=held_noise)
 swept = partial(open_loop, excite=partial(held_noise, samples=10), N=400)
 CURVED = {
@@ -300,7 +287,6 @@ KINDS = {
     "steps": open_loop,
     "noise, coloured noise": partial(noisy, noise=coloured),
     "steps, drift": partial(open_loop, noise=drifting),
-    "noise, drift": partial(noisy, noise=drifting),
     "steps, quantised": partial(
         open_loop, noise=partial(white, size=0.01), sensor=partial(np.round, decimals=1)
     ),
@@ -315,7 +301,6 @@ KINDS = {
     "learning, delay of 30": partial(learned, delay=30, N=200),
     "learning, converged": partial(learned, trials=24, last=4),
     "learning, slow": partial(learned, trials=4, N=800, make=slow),
-    "the same step twice": two_logs,
     "four modes": flexible,
     "two channels, resonance": two_resonances,
     "feedback, coloured noise": feedback,
@@ -330,9 +315,7 @@ KINDS = {
     "three lengths": of_three_lengths,
     **CURVED,
     "PRBS": partial(open_loop, excite=binary, N=300),
-    "heater on and off": partial(open_loop, excite=heater, N=300),
     "an exact record, 1e-4": partial(noisy, N=300, noise=partial(white, size=1e-4)),
-    "an exact record, 1e-6": partial(noisy, N=300, noise=partial(white, size=1e-6)),
     "outputs with a common noise": partial(two, common=0.8),
     "CD arm": partial(flexible, damped=0.02, noise=0.1),
 }

@@ -3,17 +3,17 @@ function v = law(path, v, e)
 %
 %     v_{k+1} = Q (v_k + L e_k).
 %
-% path names a file of ilctools.save_law, for `ends` "zero" and without limits, as it writes them by
-% default; v and e are those of a whole trial, a row for each sample, a column for each channel.
+% path names a file of ilctools.save_law, for `ends` "zero" and without limits, as those of a table
+% are, or with `reach`; v and e are those of a whole trial, a row for each sample, a column for each channel.
 % It needs MATLAB R2016b or newer, or Octave 7 or newer. The same as law.c, in fewer checks: the
 % file is taken to be as save_law wrote it.
 saved = jsondecode(fileread(path));
 is_known = isfield(saved, "format") && any(strcmp(saved.format, {"rodlib law 1", "rodlib law 2"}));
 refuse(~is_known, "%s is no file of save_law, or a newer one", path);
 refuse(isfield(saved, "actuators"), "there must be no limits, but the law has some");
-refuse(~all(strcmp({saved.Q.ends, saved.L.ends}, "zero")), "`ends` must be zero");
 is_finite = ~isfield(saved.L, "base") || isempty(saved.L.base);
 refuse(~is_finite, "the base is a model; synthesise with reach");
+refuse(~all(strcmp({saved.Q.ends, saved.L.ends}, "zero")), "`ends` must be zero");
 taps = saved.L.coefficients;  % (m, m, order)
 m = size(taps, 1);
 [n, columns] = size(v);

@@ -154,7 +154,7 @@ def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> n
     ----------
     loop : CurrentTrialLoop
         Of a rod.
-    specimens : sequence of Specimen
+    specimens : list of Specimen
     omega : array_like, shape (n,)
         Angular frequencies, rad/s, from 0 to the Nyquist frequency.
 

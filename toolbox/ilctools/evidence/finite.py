@@ -73,8 +73,9 @@ def trial_map(
     P_N, Q_N, L_N are matrices on a trial of N samples ("lifted"): D. A. Bristow, M. Tharayil and
     A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (2006).
 
-    v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly. Parameters as
-    for :func:`trial_operators`; in the last `rest` samples of each trial, v is held at zero.
+    v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly; with a learning
+    gain a, (1 - a) I + a T; without limits. Parameters as for :func:`trial_operators`; in the last
+    `rest` samples of each trial, v is held at zero.
 
     The error alone has no such map. P_N maps the last sample of v to zero (P has a delay), and
     maps the exponentials z^p of its zeros z outside the unit circle, which live at the end of
@@ -153,7 +154,7 @@ def trial_norm(
 
 
 def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float]:
-    """Samples of a trial ten times as long as the plants settle, and its largest norm of them."""
+    """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm."""
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
     samples = int(min(10 * settled + SHORTEST, LONGEST / L.channels))

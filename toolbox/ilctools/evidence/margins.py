@@ -46,9 +46,9 @@ class Margins:
         low, high = self.gain
         (less, more), (faster, slower) = self.delay, self.time
         return (
-            f"margins: gain {low:.2g} to {high:.2g} times, delay {less:.2g} samples less to "
-            f"{more:.2g} more, {faster:.2g} times faster to {slower:.2g} times slower, any error "
-            f"of {self.radius:.2g} sigma_max(P) at the cut-off"
+            f"margins: gain {low:.3g} to {high:.3g} times, delay {less:.3g} samples less to "
+            f"{more:.3g} more, {faster:.3g} times faster to {slower:.3g} times slower, any error "
+            f"of {self.radius:.3g} sigma_max(P) at the cut-off"
         )
 
 

@@ -167,8 +167,8 @@ class Law:
             be bound to a loop.
         u : array_like, shape (time, m), optional
             Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
-            its controls, of a ClosedLoop w = reference + v. In a first trial, where v is zero, they
-            are not.
+            its controls, of a ClosedLoop w = reference + v. Also of a first trial, where v is zero
+            and they are not.
         applied : array_like, shape (time, m), optional
             What the actuators made of u, and the observer was informed of. Default: u, cut off at
             the limits.

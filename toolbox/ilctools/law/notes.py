@@ -180,7 +180,8 @@ def save_law(path, law: Law, note: str = "") -> None:
         Other keys are refused where it is read; of the sections, only docs/law.c checks that they
         are those of Q: who changes Q by hand saves the law anew.
     law : Law
-        L must be a LearningFilter, or B K of a design. The loop is not written.
+        L must be a LearningFilter, or B K of a design. The loop is not written. Limits {} are read
+        back as None: `record` then takes those of the rig.
     note : str
         What made it, for those who read the file.
 

@@ -14,8 +14,8 @@ one periodic motion. With e_0 the error without learning, for a = 1
 
 in energy from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is what no trial applies
 of it: of the first period, as far as Q and L reach ahead of t = N, and Q back from it. In the
-periodic motion, whatever a is, the bound holds as RMS with f = (1 - Q) e_0. A signal whose period
-is off from N by a percent is not learned, and nothing warns of that.
+periodic motion, whatever a is, the bound holds as RMS with f = (1 - Q) e_0. Of a signal whose
+period is off by a share p, harmonic k leaves some 2 sin(pi k p) of itself; nothing warns of that.
 
 Proof. As det(I - XY) = det(I - YX), v has the characteristic equation det(I - z^-N M(z)) = 0; with
 a gain, M_a = (1 - a) I + a M, and sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N,

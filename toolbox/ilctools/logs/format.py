@@ -42,8 +42,9 @@ def save_log(trials: xr.Dataset, path) -> None:
     Raises
     ------
     ValueError
-        If a signal, a coordinate or an attribute is not what :func:`load_log` would give back; if a
-        file that does not begin as a log is there, such as raw data.
+        If a signal or an attribute is not what :func:`load_log` would give back (other variables,
+        coordinates and attributes of signals are not written); if a file that does not begin as a
+        log is there, such as raw data.
 
     See Also
     --------

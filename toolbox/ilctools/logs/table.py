@@ -54,7 +54,7 @@ def read_table(
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
         Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
-        by default s, also of a "t_msec"; or dates that pandas has parsed, as with the options
+        by default s, also of "millis"; or dates that pandas has parsed, as with the options
         ``parse_dates=["t"], date_format="ISO8601"``. Without it, rows are `Ts` apart. State the
         unit of a clock that counts from 1970: often it is ms, us or ns.
     Ts : float, optional

@@ -39,7 +39,7 @@ def current_trial_loop(
     plant : control.StateSpace or control.TransferFunction
         The model (12) with m outputs, in discrete time, without direct feedthrough from its
         controls, and without an unstable mode that no control reaches or no output shows. A
-        transfer function is realised with as few states as it needs.
+        transfer function is realised, with a shift register for the delay of each input.
     controls : sequence of str, optional
         Names of the m inputs that are controls u; any others are disturbances d, which the
         controller does not know. Default: all inputs, if there are as many as outputs.

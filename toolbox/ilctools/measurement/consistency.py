@@ -21,7 +21,8 @@ and of two levels squares and cubes are gains.
 
 Without a reference in the record u may follow y, and what is estimated is -1 / C: no test of
 residuals can distinguish this loop from a plant -1 / C. But plants in which something
-lags answer at once by a part of what they answer in the end, a sampled one by nothing. So it is
+lags, without a lead, answer at once by a part of what they answer in the end, a sampled one by
+nothing. So it is
 said where u(t) explains y(t), by the same F, and the first coefficient of the impulse response is
 not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a million times what is
 left: a proportional controller, or a plant without lags and almost without noise. How far off P is
@@ -45,8 +46,8 @@ WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
-    "u follows y, as in a loop whose reference is not in the log: what is estimated may be -1/C "
-    "of its controller. Add the reference, or record with the loop open"
+    "u follows y, as in a loop whose reference is not in the log, or the plant has a lead: what is "
+    "estimated may be -1/C of a controller. Add the reference (u itself, if nothing is fed back)"
 )
 
 

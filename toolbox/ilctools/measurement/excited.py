@@ -177,10 +177,10 @@ def _directions(off, near, freedom):
     return float(np.clip(above.sum() / max(below.sum(), 1e-300), 1, parts.shape[-1])) / 2
 
 
-def excited_response(w, y, u, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
+def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
     """From signals of all periods that are evaluated, (experiment, time, channel)."""
     W, Y = (_spectra(signal, excitation) for signal in (w, y))
-    beyond = commands_beyond(u, loop.controls, limits)
+    beyond = commands_beyond(asked, loop.commands, limits)
     finding = (
         f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
         "Shake with a smaller amplitude"

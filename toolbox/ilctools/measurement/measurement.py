@@ -63,11 +63,11 @@ def measured_response(
     Warns
     -----
     UserWarning
-        Each of the findings: commands beyond the limits; trials, or the course of one, that
-        contradict one linear plant; an output that may not settle. A rig that is not linear, drifts
-        or had not settled when shaken widens the radius, and print says so. No warning says that
-        lines are too far apart, or begin too high: between them, and below the first, the radius
-        grows by what splines of every other line miss.
+        Each of the findings: commands of a shaken rig beyond the limits; trials, or the course of
+        one, that contradict one linear plant; an output that may not settle. A rig that is not
+        linear, drifts or had not settled when shaken widens the radius, and print says so. No
+        warning says that lines are too far apart, or begin too high: between them, and below the
+        first, the radius grows by what splines of every other line miss.
 
     See Also
     --------
@@ -90,8 +90,9 @@ def measured_response(
     frequencies, most if trials under learning have converged: record the first ones. See
     :mod:`ilctools.measurement.estimation` for the radius.
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
-    joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
-    only, and else on u(t), too.
+    joined. Where a log names its loop and limits, w is what asks for what was applied; of others,
+    leave out trials in which commands were cut off. Of commands in a loop whose reference is in the
+    first log, y(t) depends on earlier u only, and else on u(t), too.
 
     Shaken, P is the best linear approximation by the robust method: periods show the noise,
     realisations of the phases the noise and what is not linear, and the radius has both; see
@@ -137,8 +138,8 @@ def measured_response(
     elif (loop := loop_of(log)) is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:
-        u, limits = log.get("u", log.v).values, limits_of(log)
-        measured = excited_response(*_signals(log, excitation), u, limits, excitation, loop)
+        asked, limits = loop.asked(log).values, limits_of(log)
+        measured = excited_response(*_signals(log, excitation), asked, limits, excitation, loop)
     return _warned(measured)
 
 

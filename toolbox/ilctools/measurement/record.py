@@ -8,7 +8,8 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.law.notes import RESET, loop_of
+from ilctools.law.limits import Actuators
+from ilctools.law.notes import RESET, limits_of, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.measurement.regression import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
@@ -83,9 +84,13 @@ def _moves(name, log, source):
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
     if source == "u" and "u" not in log:
         raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
-    u = log.u if source == "u" else log.reference + log.get("v", 0)
+    u = log.get("applied", log.get("u")) if source == "u" else log.reference + log.get("v", 0)
+    limits, loop = limits_of(log), loop_of(log)
+    if source == "w" and limits and loop:  # w that asks for what was applied
+        asked = loop.asked(log).values
+        u.data = loop.realised(u.values, asked, Actuators.of(limits, loop).follow(asked))
     # Before a trial w rests at the reference's first row; commands, at their own.
-    signals = [u, log.u if source == "u" else log.reference, log.y]
+    signals = [u, u if source == "u" else log.reference, log.y]
     u, before, y = (signal.transpose(*AXES).values for signal in signals)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))

@@ -58,7 +58,7 @@ def record(
         Without limits (None) it takes those of the rig; ``limits={}`` leaves them out: then the rig
         cuts off what it must, which is warned of, and the law (23) does not know. Commands are cut
         off at the limits of the law, and the observer is informed of that. A log can name no other
-        L than a LearningFilter.
+        L than a LearningFilter or the B K of a design.
     reference, trials :
         As for :func:`ilctools.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
@@ -227,8 +227,7 @@ def shake(
     controlled = ControlledRig(rig, loop, shaken, None, stop, decimals)
     check_match(loop=loop, rig=controlled, excitation=excitation)
     commanded = controlled.commanded(None)
-    limits = controlled.limits if loop.commands == loop.controls else None
-    notes = with_excitation(xr.Dataset(), excitation, loop, limits).attrs
+    notes = with_excitation(xr.Dataset(), excitation, loop, controlled.limits).attrs
     following = lambda trials: shaken[len(trials)]  # noqa: E731
     reference = np.zeros(shaken.shape)
     return Experiment(controlled, reference, commanded, following, notes).run(0, path)

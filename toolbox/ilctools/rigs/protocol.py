@@ -13,7 +13,7 @@ class Rig(Protocol):
 
     A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
     the loop's controls, or references. ``limits``: a dict of the lowest and the highest number that
-    it follows, by the name of the input, and third, if need be, the largest change per second;
+    it follows, by the name of the input;
     commands are cut off there, and the observer (16) is informed. ``Ts``: its sampling
     period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
     the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.

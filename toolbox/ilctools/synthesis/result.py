@@ -77,7 +77,8 @@ class Synthesis:
         ----------
         P : as for :func:`synthesise`
             One plant or several, with the channels and the sampling period of the design; of a loop
-            that was designed here ``loop.around(plant)``, since `plant` alone has no feedback.
+            that was designed here ``loop.around(plant)[:, loop.references]``, since `plant` alone
+            has no feedback.
         omega : array_like, shape (n,), optional
             Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
         uncertainty

@@ -27,7 +27,8 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do are too
     much alike for the solver to tell, to 1e-6 or 1e-4.
 
-    Parameters and errors as for :func:`synthesise`, apart from `objective` and `L_max`.
+    Parameters and errors as for :func:`synthesise`, apart from `objective` and `L_max`; Q is given,
+    `base` None.
     The result is that of (45) with (46), where `problem.L_max` is that gain.
 
     See Also

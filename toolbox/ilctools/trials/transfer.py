@@ -79,7 +79,8 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     ----------
     trials : xarray.Dataset or list of them
         From :func:`run_trials`, :func:`record` or :func:`load_log`, of one plant and loop, under
-        the same disturbance, of the same length: those of another are to be left out, by isel. All
+        the same disturbance, of the same length, each from a reset, as y counts as constant beyond
+        its ends: those of another are to be left out, by isel. All
         count, the first most of all. Where actuators cut off, with v as
         the loop's `realised` has it.
     reference : array_like, shape (time, m)

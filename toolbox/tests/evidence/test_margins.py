@@ -57,4 +57,4 @@ def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
     design = synthesise([STAGE, 1.2 * STAGE], LOWPASS)
     gain, peak = design.margins.gain[1], peak_of(design, 1.2 * STAGE)
     assert peak(gain=0.05 + 0.95 * gain) < 1 < peak(gain=1.05 * gain - 0.05)
-    assert f"gain 0 to {gain:.2g} times" in repr(design)
+    assert f"gain 0 to {gain:.3g} times" in repr(design)

@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from plants import LOOPS, PUMPS, RestartingModel, axes, bump
@@ -21,7 +22,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.logs.replay import replay
-from ilctools.models import sampled_plant
+from ilctools.measurement.record import Record
 
 CASES = {  # loop, cut-off, heights, limits
     "stage": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0)}),
@@ -61,6 +62,10 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
     assert actuators.can(sent) and not actuators.can(commands.values[0])
 
     log = load_log(path)
+    moves = Record.of(log)  # for an estimate of P: w is what asks for what was applied
+    for w, y in zip(moves.groups[0].u, moves.groups[0].y * moves.sizes[1], strict=True):
+        answer = control.forced_response(loop.P, inputs=(w * moves.sizes[0]).T, squeeze=False)
+        np.testing.assert_allclose(answer.outputs.T, y, atol=1e-4 * np.abs(y).max())
     replayed = replay(log)
     assert "the recorded v is that of the law in every trial" in repr(replayed)
     assert not replayed.warnings and not replayed.omissions
@@ -84,14 +89,15 @@ def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial
         record(rig, loop, law, reference)
 
 
-def test_a_measurement_beyond_limits_is_warned_of():
-    loop = LOOPS["tanks"]()
+@pytest.mark.parametrize("case", CASES)
+def test_a_measurement_beyond_limits_is_warned_of(case):
+    rig, loop, *_ = experiment(case)
+    rig.limits = {}
     excitation = multisine(loop, 0.1 / loop.Ts, 1.0 / loop.Ts, 1.0, 0.4 * loop.Ts, lines=8)
-    rig = RestartingModel(sampled_plant(loop.plant), loop.controls)
-    largest = np.abs(shake(rig, loop, excitation).u.values).max()
+    largest = np.abs(loop.asked(shake(rig, loop, excitation)).values).max()
     for share in (1.01, 0.7):
         rig.limit = share * largest
-        rig.limits = dict.fromkeys(loop.controls, (-rig.limit, rig.limit))
+        rig.limits = dict.fromkeys(loop.commands, (-rig.limit, rig.limit))
         with warnings.catch_warnings(action="error" if share > 1 else "ignore"):
             log = shake(rig, loop, excitation)
         with warnings.catch_warnings(action="ignore"):  # findings, too
