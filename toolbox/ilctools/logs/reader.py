@@ -106,7 +106,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
             warnings.warn(
                 f"{path}: the last trial is shorter than the first, and left out", stacklevel=3
             )
-            table = table[number != number.iloc[-1]]
+            table = table[number != counts.index[-1]]
         elif torn.strip() and not ended:
             warnings.warn(f"{path}: the last line has no line feed, and is left out", stacklevel=3)
         notes = {key: value for key, value in metadata.items() if key not in KEYS}
