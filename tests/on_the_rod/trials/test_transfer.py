@@ -171,6 +171,7 @@ def test_what_does_not_belong_together_is_refused():
         ([done, other], "Ts"),
         ([done, done.isel(time=slice(100))], "trials.v has shape"),
         (done.drop_vars("y"), "trials lack"),
+        (done.assign_attrs(reset="none"), "or a reset before each"),
     ):
         with pytest.raises(ValueError, match=words):
             transfer(trials, NEW)

