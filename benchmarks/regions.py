@@ -113,13 +113,6 @@ def dead(u, zone):
     return u - np.clip(u, -zone / 2, zone / 2)
 
 
-def answers(plants, u, noise, rng):
-    """Of several channels, coupled, with noise of which a share (1 at most) is in all."""
-    y = [sum(lfilter(*p, x) for p, x in zip(row, u, strict=True)) for row in plants]
-    one = np.sqrt(noise) * white(rng, u.shape[1])
-    return y + one + np.sqrt(1 - noise) * white(rng, u.shape)
-
-
 def answer(plant, u, rng, start=0.0):
     """Of one plant to one input, from rest, or after other inputs that ended just now."""
     before = start * rng.standard_normal(200 if start else 0)
@@ -194,21 +187,18 @@ def reference(rng, N=100):
     return single(w, y, "w"), [[plant]]
 
 
-def coupled(make):
-    """Two channels, with 0.3 times such gains to each other."""
-    plants = [[make(), make()], [make(), make()]]
-    for i, j in ((0, 1), (1, 0)):
-        b, a = plants[i][j]
-        plants[i][j] = 0.3 * b, a
-    return plants
-
-
 def two(rng, N=100, common=0.0):
-    """Two channels that are coupled, both moved in steps at different times."""
-    plants = coupled(lambda: lag(rng))
+    """Two channels, with 0.3 times such gains to each other, moved in steps at different times.
+
+    Of the noise a share (1 at most) is in both.
+    """
+    (a, (b, c)), ((d, e), f) = [[lag(rng), lag(rng)], [lag(rng), lag(rng)]]
+    plants = [[a, (0.3 * b, c)], [(0.3 * d, e), f]]
     u = np.array([steps(rng, N), np.roll(steps(rng, N)[::-1], N // 6)])
     u[1] -= u[1, 0]
-    return single(u, answers(plants, u, common, rng)), plants
+    y = [sum(lfilter(*p, x) for p, x in zip(row, u, strict=True)) for row in plants]
+    noise = np.sqrt(common) * white(rng, N) + np.sqrt(1 - common) * white(rng, u.shape)
+    return single(u, y + noise), plants
 
 
 def modes(rng, damped=0.03):
@@ -227,18 +217,6 @@ def flexible(rng, N=1500, damped=0.03, noise=NOISE):
     plant, u = modes(rng, damped), white(rng, N, 1.0)
     y = lfilter(*plant, u)
     return single(u, y + white(rng, N, noise * y.std())), [[plant]]
-
-
-def two_resonances(rng, N=1024):
-    """Two channels that share two resonances."""
-    a = np.convolve(resonance(rng)[1], resonance(rng)[1])
-
-    def make():
-        b = np.append(0, rng.uniform(-1, 1, 3))
-        return b * a.sum() / b.sum(), a
-
-    plants, u = coupled(make), np.array([held_noise(rng, N), held_noise(rng, N)])
-    return single(u, answers(plants, u, 0.0, rng)), plants
 
 
 def feedback(rng, N=600, moves=1.0, logged=True):
@@ -302,7 +280,6 @@ KINDS = {
     "learning, converged": partial(learned, trials=24, last=4),
     "learning, slow": partial(learned, trials=4, N=800, make=slow),
     "four modes": flexible,
-    "two channels, resonance": two_resonances,
     "feedback, coloured noise": feedback,
     "slow, 10,000 samples": partial(
         open_loop, make=slow, excite=partial(held_noise, samples=300), N=10_000
@@ -327,7 +304,7 @@ def response(plants, omega):
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-RESONANT = ("resonance, noise", "four modes", "two channels, resonance", "CD arm")
+RESONANT = ("resonance, noise", "four modes", "CD arm")
 DESIGN = {"order": 20, "M_max": 0.9, "L_max": 100.0}  # for the resonant kinds
 
 

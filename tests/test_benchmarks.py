@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("pytest_benchmark")
 
 import bench_synthesis
-import confidence
 import constants
 import peers
 import regions
@@ -71,19 +70,6 @@ def page(tmp_path, monkeypatch):
 )
 def test_a_few_cases_run_and_are_counted(name, few, said, page):
     assert re.search(said, page(name, import_module(name).main, *few), re.DOTALL)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_how_often_radii_hold_the_truth_is_counted(page, monkeypatch, capsys):
-    """With half an hour of shaking instead of six, two seeds; and with radii that hold nothing."""
-    short = confidence.multisine(confidence.LOOP, 0.05, 0.3, 5.0, 0.5, lines=6)
-    monkeypatch.setattr(confidence, "EXCITATION", short)
-    confidence.main(2)
-    own = confidence.response_and_radii(0)[0]
-    monkeypatch.setattr(confidence, "response_and_radii", lambda seed: (own, [0, 0, 0]))
-    confidence.main(1)
-    shares = re.findall(r"99%: (\S+) \+- 0.00% of", capsys.readouterr().out)
-    assert shares == ["100.00%", "0.00%"]
 
 
 def test_regions_are_counted(monkeypatch):

@@ -32,10 +32,7 @@ CONSTANTS = {  # that no cell prints, with the reason
         "45": "free numbers of a rotation in ten dimensions, 10 x 9 / 2",
         "44": "entries of K_s and K_L, 20 + 24, each with its row in the ledger",
     },
-    "10-measurement": {
-        "93": "per cent of 100 seeds within 90 %, by benchmarks/confidence.py",
-        "2012": "year of the book",
-    },
+    "10-measurement": {"2012": "year of the book"},
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 NO_RESULT = re.compile(

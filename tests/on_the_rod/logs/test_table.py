@@ -158,3 +158,9 @@ def test_the_unit_of_a_clock_may_end_its_title(title, unit):
     assert log.attrs["Ts"] == pytest.approx(10 * unit)
     stated = read_table(frame, time=title, outputs={"y": "y"}, units={"y": "degC", "time": "min"})
     assert stated.output_unit.item() == "degC" and stated.attrs["Ts"] == pytest.approx(600)
+
+
+def test_a_reference_in_another_unit_than_its_output_is_refused():
+    frame = pd.DataFrame({"x (mm)": LEVEL, "set (m)": LEVEL})
+    with pytest.raises(ValueError, match="is in m, x in mm: state units"):
+        read_table(frame, Ts=1.0, outputs={"x": "x"}, reference={"x": "set"})

@@ -133,6 +133,13 @@ def test_several_records_tell_more_than_one():
         measured_response([logs[0], slower])
 
 
+def test_logs_of_one_length_are_one_as_what_disturbs_them_may_repeat():
+    """Of trials under learning, one file each, the truth was up to 5 radii away."""
+    log, _ = KINDS["learning"](np.random.default_rng([0, 99]))
+    apart = measured_response([log.isel(trial=[k]) for k in range(8)])
+    np.testing.assert_array_equal(apart.response, measured_response(log).response)
+
+
 @pytest.mark.parametrize(
     ("kind", "words"),
     [

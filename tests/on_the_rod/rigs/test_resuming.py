@@ -46,6 +46,13 @@ def test_an_experiment_that_has_ended_leaves_rig_and_log_alone(loop, tmp_path):
     assert more.isel(trial=slice(3)).identical(log) and load_log(path).identical(more)
 
 
+def test_a_log_without_one_of_its_trials_is_not_gone_on_with(loop, tmp_path):
+    log = record(VirtualRig(), loop, LAW, **SHORT)
+    save_log(log.isel(trial=[0, 2]), tmp_path / "log.csv")
+    with pytest.raises(ValueError, match="numbers"):
+        record(VirtualRig(), loop, LAW, **SHORT, path=tmp_path / "log.csv")
+
+
 @pytest.mark.parametrize(
     ("changes", "differing"),
     [

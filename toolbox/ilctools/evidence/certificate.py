@@ -13,7 +13,7 @@ from ilctools.evidence.convergence import Convergence, from_responses, log_mean
 from ilctools.evidence.finite import settled_norm
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
-from ilctools.evidence.peak import CLOSE, DEAF, Peak, highest, peak_of_L, peaks_of_M
+from ilctools.evidence.peak import CLOSE, DEAF, Peak, dense_grid, highest, peak_of_L, peaks_of_M
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
@@ -93,8 +93,10 @@ class Certificate:
         The spectral radius is that of the plants themselves, at the frequencies and the peaks.
         """
         problem = self.problem
-        omega = np.append(problem.omega, [peak.omega for peak in self.peaks.values()])
-        radius = self._at(omega, range(len(problem.plants))).spectral_radius.max()
+        peaks, plants = [peak.omega for peak in self.peaks.values()], range(len(problem.plants))
+        grids = [dense_grid(problem.response, k, self.filter) for k in plants]
+        omega = np.concatenate([problem.omega, peaks, *grids])
+        radius = self._at(omega, plants).spectral_radius.max()
         assumed = self.peaks.get("assumed")
         return Convergence(
             problem.omega,

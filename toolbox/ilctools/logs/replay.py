@@ -177,7 +177,7 @@ class Replay:
         if not self.resets:
             return "of trials without reset, the recorded v is not checked"
         departure = self.departure
-        rounding = DIGITS * np.abs(self.trials.v.values).max(axis=(0, 1))
+        rounding = DIGITS * np.maximum.accumulate(np.abs(self.trials.v.values).max(axis=1))
         different = (departure > rounding).stack()
         if different.any():
             number, name = different.idxmax()

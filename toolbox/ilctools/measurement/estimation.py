@@ -111,7 +111,7 @@ class EstimatedResponse(Measured):
             if not fit.stable and (share < 1 or not self.known.any()):
                 raise LogError(f"{name} does not settle: {LOOP}")
             if not fit.stable or share >= 1:
-                yield f"{name} may not settle: {LOOP}"
+                yield f"{name} may not settle, or is disturbed in cycles: {LOOP}"
 
     def _at(self, omega):
         rows = [fit.response(omega * self.loop.Ts) for fit in self.fits]

@@ -67,7 +67,10 @@ def measured_response(
         one, that contradict one linear plant; an output that may not settle. A rig that is not
         linear, drifts or had not settled when shaken widens the radius, and print says so. No
         warning says that lines are too far apart, or begin too high: between them, and below the
-        first, the radius grows by what splines of every other line miss.
+        first, the radius grows by what splines of every other line miss. That is too little, up to
+        five times, where the phase turns by more than half a turn from line to line, as of a delay
+        of D samples with lines further apart than pi / (D Ts), and of peaks narrower than that:
+        then take more `lines`.
 
     See Also
     --------
@@ -80,7 +83,7 @@ def measured_response(
     Records other than a single one of :func:`shake` are estimated by
     :mod:`ilctools.measurement.regression`: A(z) y = B(z) u + e, of high order and regularised,
     each input with a delay if correlations show one, from any start, with offset and slope in each
-    trial, a drift that the trials of a log have in common, and, over the trials of one log,
+    trial, a drift that trials of one length have in common, and, over these, of all logs,
     what repeats at each sample with a variance that the data determine.
     The radius is Bayesian: "99 %" is a probability under a prior, by which coefficients of A and B
     decay and are smooth, and the posterior is normal, with the prior's parameters at the maximum

@@ -22,7 +22,7 @@ AXES = "trial", "time", ...
 class Record:
     """Inputs and outputs of logs from before each trial on, in units of `sizes`."""
 
-    groups: tuple[Trials, ...]  # of each log
+    groups: tuple[Trials, ...]  # of each length
     inputs: list[str]
     outputs: list[str]
     sizes: tuple[np.ndarray, np.ndarray]  # RMS of the moves of inputs (m,) and outputs (p,)
@@ -50,10 +50,11 @@ class Record:
         check_moved(u, inputs, f"{first}.{source}", remedy)
         check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
         delay, sizes = _samples_of(delay, len(inputs)), (_sizes(u), _sizes(y))
-        groups = [
-            Trials(x / sizes[0], z / sizes[1], _titles(log, len(z), name))
-            for (name, log), x, z in zip(named.items(), u, y, strict=True)
-        ]
+        alike = {}  # logs of one length are one: in all of them the same disturbance may repeat
+        for (name, log), x, z in zip(named.items(), u, y, strict=True):
+            trials = Trials(x / sizes[0], z / sizes[1], _titles(log, len(z), name))
+            alike.setdefault(len(z[0]), []).append(trials)
+        groups = [Trials(*map(np.concatenate, zip(*x, strict=True))) for x in alike.values()]
         direct = source == "w" or "reference" not in logs[0] or delay.min() > 0
         return cls(tuple(groups), inputs, loop.outputs, sizes, delay, direct, source, loop)
 
@@ -66,7 +67,7 @@ class Record:
         trials = sum(len(group.y) for group in self.groups)
         return (
             f"{trials} trials of up to {self.longest} samples, from {self.source} to y; assumed: y "
-            f"is moved by {self.source}, what repeats in all trials of a log, noise and drift only"
+            f"is moved by {self.source}, what repeats in all trials of a length, noise, drift only"
         )
 
 

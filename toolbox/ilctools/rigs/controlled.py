@@ -123,8 +123,8 @@ class ControlledRig:
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
         limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
         self.limits = {name: limits[name] for name in self.commands if name in limits}
-        if law is not None and law.limits is None:
-            law = replace(law, limits=self.limits)
+        if law is not None and law.limits != {}:  # which stands for none at all
+            law = replace(law, limits=self.limits | (law.limits or {}))
         self.law, self.actuators = law, law and law.actuators
         self.stop = stop_limits(stop, reference, loop, self.limits)
         self.size = reference.shape[:2]  # trials, samples

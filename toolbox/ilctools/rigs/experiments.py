@@ -55,10 +55,10 @@ def record(
     loop : CurrentTrialLoop or ClosedLoop
         Its names and units are those of the record.
     law : Law
-        Without limits (None) it takes those of the rig; ``limits={}`` leaves them out: then the rig
-        cuts off what it must, which is warned of, and the law (23) does not know. Commands are cut
-        off at the limits of the law, and the observer is informed of that. A log can name no other
-        L than a LearningFilter or the B K of a design.
+        Commands without limits in it have those of the rig; ``limits={}`` leaves all out: then the
+        rig cuts off what it must, which is warned of, and the law (23) does not know. Commands are
+        cut off at the limits of the law, and the observer is informed of that. A log can name no
+        other L than a LearningFilter or the B K of a design.
     reference, trials :
         As for :func:`ilctools.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
@@ -81,7 +81,8 @@ def record(
     reset : bool
         False for a rig that never rests, as for :func:`ilctools.run_trials`: there is no pause, and
         v is computed while a trial runs. An experiment that goes on in its log starts anew, from
-        what was learned.
+        what was learned; the log does not say where, and `replay` and `measured_response` take it
+        for one run: another path is better.
     decimals : dict, optional
         Of v, u (rounded before they act), delta and measured disturbances; too few leave nothing of
         v. Default: all digits.

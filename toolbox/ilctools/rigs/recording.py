@@ -175,6 +175,7 @@ class Experiment:
             "v of trial 1": np.array_equal(log.v[0], self.rig.rounded("v", self.following([]))),
             **{key: log.attrs.get(key) == self.notes.get(key) for key in NOTED},
             "disturbances": sources == [*self.rig.recorded],
+            "numbers": log.trial.values[-1] == len(log.trial),
         }
         if differing := [what for what, is_same in same.items() if not is_same]:
             raise ValueError(

@@ -60,14 +60,14 @@ def synthesise(
     Parameters
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
-        Frequency response of the closed loop on `omega`, for any m, also as python-control's
-        frequency response data, of exp(j omega t): one of exp(-j omega t), whose phase leads, is to
-        be conjugated first; or a discrete-time model of it, state space
-        or transfer function. Of a list the first is the nominal plant, whose convergence is made
-        fast; the bounds hold for all of them. What :func:`measured_response` returns has its
-        radius, in which the truth lies with a probability of 0.99; for another, pass both of
-        ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
-        P is taken for zero with a radius, its size there.
+        Frequency response of the closed loop on `omega`, for any m: gain * exp(1j * phase), the
+        gain not in dB, the phase in rad; also as python-control's frequency response data, of exp(j
+        omega t): one of exp(-j omega t), whose phase leads, is to be conjugated first; or a
+        discrete-time model of it, state space or transfer function. Of a list the first is the
+        nominal plant, whose convergence is made fast; the bounds hold for all of them. What
+        :func:`measured_response` returns has its radius, in which the truth lies with a probability
+        of 0.99; for another, pass both of ``P.on(omega, confidence)`` as P and `uncertainty`. Above
+        the last frequency of samples, P is taken for zero with a radius, its size there.
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
         Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
         where P reaches: the least singular value of all plants is a tenth of what it is at rest
@@ -102,7 +102,8 @@ def synthesise(
         In the place of the band: the reference of a trial, in the outputs' units, labelled ones
         matched by name. The sum is then weighted by the spectrum of the first trial's error,
         |(I - P) r| of the channels divided by `scale`, and the certificate predicts the RMS of the
-        error of this reference.
+        error of this reference, far from the ends of a trial: what it asks for in the first
+        samples, before P answers, is never learned, and not counted.
     structure : {"full", "diagonal"}
         Whether each error acts on all channels, or on its own only.
     objective : {"sum", "peak"}
@@ -116,7 +117,8 @@ def synthesise(
     uncertainty : array_like, shape (n,), or float, optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact. One number is relative to
-        sigma_max(P) of the first plant at each frequency: 0.05 is 5 %. Without it samples count as
+        sigma_max(P) of the first plant at each frequency: 0.05 is 5 %. Between them it runs
+        straight: pass `omega` that resolves narrow resonances. Without it samples count as
         exact, noise and all: what is promised holds for them, not for the plant.
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models

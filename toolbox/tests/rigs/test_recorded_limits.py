@@ -22,6 +22,7 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from ilctools.measurement.record import Record
+from ilctools.rigs.controlled import ControlledRig
 
 CASES = {  # loop, cut-off, heights, limits
     "stage": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0)}),
@@ -81,6 +82,11 @@ def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial
     assert len(seen) == 2 and "applied" not in log and "actuators" not in load_log(path).attrs
     with pytest.raises(ValueError, match="see its actuators"):
         record(rig, loop, law, reference, path=path)
+    narrow = {"pump A": (-1.0, 1.0)}  # the rig's own stand for the others
+    controlled = ControlledRig(
+        rig, loop, reference[None], replace(law, limits=narrow).bound_to(loop)
+    )
+    assert controlled.law.limits == rig.limits | narrow
     rig.limits = {"fan": (0, 1)}
     with pytest.raises(ValueError, match=r"rig\.limits is about"):
         record(rig, loop, law, reference)
