@@ -192,7 +192,7 @@ def two(rng, N=100, common=0.0):
 
     Of the noise a share (1 at most) is in both.
     """
-    (a, (b, c)), ((d, e), f) = [[lag(rng), lag(rng)], [lag(rng), lag(rng)]]
+    a, (b, c), (d, e), f = (lag(rng) for _ in range(4))
     plants = [[a, (0.3 * b, c)], [(0.3 * d, e), f]]
     u = np.array([steps(rng, N), np.roll(steps(rng, N)[::-1], N // 6)])
     u[1] -= u[1, 0]

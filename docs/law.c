@@ -6,9 +6,9 @@
 
        cc -std=c99 -O2 -ffp-contract=off law.c -lm -o law  &&  ./law law.json 2500 < trial > next
 
-   For `ends` "zero" and without limits, as those of a table are, or with `reach`. It refuses whatever
-   load_law refuses, but for letters beyond ASCII that are not printable; and escapes other than \n,
-   \" and \\, integers of more than 17 digits, and what does not fit into its arrays. */
+   For `ends` "zero" and without limits, as those of a table are, or with `reach`. It refuses
+   whatever load_law refuses, but for letters beyond ASCII that are not printable; and escapes other
+   than \n, \" and \\, integers of more than 17 digits, and what does not fit into its arrays. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -91,7 +91,8 @@ static int object(int all, int others)
         if (key <= ENDS) string();
         if (key == FORMAT) newer = !strcmp(word, "rodlib law 2");
         if (key == FORMAT && !newer && strcmp(word, "rodlib law 1")) DAMAGED("unknown format");
-        if (key == ENDS && strcmp(word, "zero")) DAMAGED("ends must be zero; of a model, synthesise with reach");
+        if (key == ENDS && strcmp(word, "zero"))
+            DAMAGED("ends must be zero; of a model, synthesise with reach");
         if (key == Q) object(1 << ORDER | 1 << CUT | 1 << ENDS, 0);
         if (key == L) of_L = object(1 << K | 1 << ENDS, 1 << FIRST | 1 << BASE);
         if (key == SOS) array(sos, sizeof sos / sizeof *sos, 2, sizes[key]);

@@ -4,7 +4,8 @@ function v = law(path, v, e)
 %     v_{k+1} = Q (v_k + L e_k).
 %
 % path names a file of ilctools.save_law, for `ends` "zero" and without limits, as those of a table
-% are, or with `reach`; v and e are those of a whole trial, a row for each sample, a column for each channel.
+% are, or with `reach`; v and e are those of a whole trial, a row for each sample, a column for
+% each channel.
 % It needs MATLAB R2016b or newer, or Octave 7 or newer. The same as law.c, in fewer checks: the
 % file is taken to be as save_law wrote it.
 saved = jsondecode(fileread(path));

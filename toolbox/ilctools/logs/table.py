@@ -149,7 +149,7 @@ def _signals(frame, asked, units):
             column, unit = _column(frame, f"{argument}[{name!r}]", title)
             table[f"{signal}_{name}"] = numbers_in(column)
             known = names.setdefault(name, units.get(name, unit))
-            if unit and known != unit and name not in units:
+            if known and unit and known != unit and name not in units:
                 raise LogError(f"{argument}[{name!r}] is in {unit}, {name} in {known}: state units")
     if "reference" in asked and "v" not in asked:
         table[[f"v_{name}" for name in signals["outputs"]]] = 0.0

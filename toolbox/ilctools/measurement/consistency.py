@@ -72,7 +72,7 @@ def contradictions(
             off = np.sqrt(more / power[np.ix_(within, within)].sum())
             if off > SEEN and fdtrc(k, n, n * more / k / fit.posterior.rss) < level:  # (2)
                 yield name, off
-    if not reference and _at_once(fit, g[: 2 * fit.data.layout.knots[0][-1]], level):
+    if not reference and _at_once(fit, g, level):
         yield FOLLOWS, 1.0
 
 
@@ -107,7 +107,8 @@ def _columns(fit, groups, g, parts):
     for group in groups:
         K, N, _ = group.u.shape
         y = _through(g, group.u).sum(axis=2, keepdims=True)
-        own = _gain_and_delay(y) * (np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0)
+        own = np.concatenate([y, np.gradient(y, axis=1)], axis=2)  # another gain, another delay
+        own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
         own, *shared = (
             _through(fit.denominator[:, None], z - z[:, :1])
             for z in (own, _through(g, _last_move(group.u)), _curve(g, group.u, y))
@@ -123,11 +124,6 @@ def _columns(fit, groups, g, parts):
 def _through(g, z):
     """Signals (trial, time, column) behind impulse responses (time, 1 or column)."""
     return fftconvolve(z, g[None], axes=1)[:, : z.shape[1]]
-
-
-def _gain_and_delay(y):
-    """Another gain, another delay: the simulated output and its slope."""
-    return np.concatenate([y, np.gradient(y, axis=1)], axis=2)
 
 
 def _curve(g, u, y):
@@ -147,9 +143,10 @@ def _last_move(u):
 def _at_once(fit, g, level):
     """Whether y answers an input at once, as by -1 / C: relative to the sum of g."""
     layout, n = fit.data.layout, fit.data.count.sum()
+    g = g[: 2 * layout.knots[0][-1]]  # slow parts answer later
     lags = (layout.c == 1)[:, None] & (layout.kind[:, None] == 1 + np.arange(g.shape[1]))
     first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * lags, trans=1)
     explained = g[0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rss
-    share = g[0] / g.sum(axis=0)  # slow parts answer later
+    share = g[0] / g.sum(axis=0)
     odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > EXACT)
     return np.any(odd & (fdtrc(1, n, n * explained) < level))

@@ -234,6 +234,7 @@ def products(groups, layout, beside=None) -> tuple[list[np.ndarray], np.ndarray]
 
 
 def _rows(dynamics, others, now):
+    """Those of a stretch of time."""
     return np.vstack([*(part(now) for part in dynamics), others[:, now]])
 
 

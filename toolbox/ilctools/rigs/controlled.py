@@ -1,6 +1,5 @@
 """A rig and its controller: ours, or the rig's; sample by sample."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from ilctools import arguments
 from ilctools.errors import RigError, StoppedError
 from ilctools.law.law import Law
-from ilctools.law.limits import named_limits
+from ilctools.law.limits import UNLIMITED, named_limits
 from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
 from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
 from ilctools.rigs.limits import stop_limits
@@ -17,7 +16,6 @@ from ilctools.trials.learn import disturbances_of, joined
 
 STILL = 0.1  # of a trial, for which outputs that are back must stand still
 LONGEST = 2.0  # trials, that is waited for this
-UNLIMITED = (-math.inf, math.inf)
 
 
 class Controller:

@@ -17,6 +17,7 @@ from ilctools import (
     multisine,
     record,
     run_trials,
+    save_log,
     shake,
     zero_phase_butterworth,
 )
@@ -70,6 +71,8 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
     assert "the recorded v is that of the law in every trial" in repr(replayed)
     assert not replayed.warnings and not replayed.omissions
     assert replayed.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
+    save_log(log.assign(v=log.v * 1.01), path)
+    assert "v departs from the law" in replay(load_log(path)).agreement
 
 
 def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial(tmp_path):
@@ -95,7 +98,6 @@ def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial
 @pytest.mark.parametrize("case", CASES)
 def test_a_measurement_beyond_limits_is_warned_of(case):
     rig, loop, *_ = experiment(case)
-    rig.limits = {}
     excitation = multisine(loop, 0.1 / loop.Ts, 1.0 / loop.Ts, 1.0, 0.4 * loop.Ts, lines=8)
     largest = np.abs(loop.asked(shake(rig, loop, excitation)).values).max()
     for share in (1.01, 0.7):
