@@ -216,7 +216,7 @@ class Certificate:
 
     @property
     def details(self) -> str:
-        """A table of numbers, and all that they rest on, for print.
+        """A table of numbers, to the digits that processors share, and what they rest on.
 
         The peaks of sigma_max(M) are for all plants within the radius: on the grid, which holds
         omega and whatever needed bounds beside it; proven at all frequencies, of the plants that
@@ -240,7 +240,7 @@ class Certificate:
             (self.value, "objective"),
             (self.lower_bound, "lower bound of the objective"),
         ]
-        lines = [f"{value:<13.7g}{what}" for value, what in table]
+        lines = [f"{value:<11.5g}{what}" for value, what in table]
         return "\n".join([*lines, *self._mean(), *problem.assumptions, *self._against()])
 
     def _against(self) -> list[str]:

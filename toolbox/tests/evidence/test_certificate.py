@@ -54,15 +54,15 @@ mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s
     between, above = tables.peaks["estimated"], tables.peaks["assumed"]
     assert f"{design}".startswith(f"rate at most {design.rate:.4f} for each of 3 plants, at all")
     expected = f"""\
-0.99         M_max
-{tables.grid_M:<13.7g}sigma_max(M), on the grid, of plant 1 at 0.01 rad/s
-{between.sigma:<13.7g}sigma_max(M), estimated, of plant {between.plant} at {between.omega:.4g} rad/s
-{above.sigma:<13.7g}sigma_max(M), assumed, of plant 0 at 2 rad/s
-5            L_max
-{tables.grid_L:<13.7g}sigma_max(L), on the grid
-{tables.all_L:<13.7g}sigma_max(L), at all frequencies
-{tables.value:<13.7g}objective
-{tables.lower_bound:<13.7g}lower bound of the objective
+0.99       M_max
+{tables.grid_M:<11.5g}sigma_max(M), on the grid, of plant 1 at 0.01 rad/s
+{between.sigma:<11.5g}sigma_max(M), estimated, of plant {between.plant} at {between.omega:.4g} rad/s
+{above.sigma:<11.5g}sigma_max(M), assumed, of plant 0 at 2 rad/s
+5          L_max
+{tables.grid_L:<11.5g}sigma_max(L), on the grid
+{tables.all_L:<11.5g}sigma_max(L), at all frequencies
+{tables.value:<11.5g}objective
+{tables.lower_bound:<11.5g}lower bound of the objective
 mean of sigma_max(M) of the nominal plant over the band: {tables.mean_M:.4f}, from 0.01 to 0.1 rad/s
 assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.1714 at most, at any phase
 assumed: between omega, cubic splines miss P by no more than they miss samples that are left out, \
