@@ -88,7 +88,7 @@ class NormOptimal:
     @cached_property
     def _model(self) -> tuple[np.ndarray, np.ndarray]:
         """[A, B] and [C, D] of P in states of like size: pivots stay near the diagonal."""
-        A, B, C = balanced(self.P.A, self.P.B, self.P.C)
+        A, B, C = balanced(self.P)
         return np.hstack([A, B]), np.hstack([C, self.P.D])
 
     @cached_property

@@ -37,7 +37,7 @@ from scipy.fft import rfft
 from ilctools import arguments
 from ilctools.alternatives import NormOptimal, coefficients_of, regularised_inverse
 from ilctools.filters import Composition, LearningFilter
-from ilctools.models import frequency_response, minimal_realisation, sampled_plant
+from ilctools.models import balanced, frequency_response, minimal_realisation, sampled_plant
 from ilctools.singular_values import largest_singular_values
 
 NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
@@ -82,7 +82,7 @@ class RegularisedInverse:
     @cached_property
     def poles(self) -> np.ndarray:
         """Those inside the unit circle, of the loop that K closes."""
-        A, B, C, D = self.P.A, self.P.B, self.P.C, self.P.D
+        (A, B, C), D = balanced(self.P), self.P.D
         R, S = D.T @ D + self.b**2 * np.eye(self.channels), C.T @ D
         K, _, poles = control.dlqr(A, B, C.T @ C, R, S)
         factor = control.ss(A, B, K, np.eye(self.channels), self.Ts)  # F, but for a constant

@@ -67,7 +67,7 @@ def _response(system, points):
 
 def schur_form(system: Model):
     """A model with its A made triangular, Z* A Z = T, its poles on the diagonal: T, B, C, D."""
-    A, B, C = balanced(system.A, system.B, system.C)
+    A, B, C = balanced(system)
     T, Z = schur(A, output="complex")
     return T, Z.conj().T @ B, C @ Z, system.D
 
@@ -288,10 +288,11 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
     return h
 
 
-def balanced(A, B, C):
-    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
+def balanced(model, *further):
+    """A, B and C, and further rows of C, with no entry of A that is large merely by its unit."""
     # The errors of a Schur form and of sparse factors are relative to the largest entry of A. If
     # one state is counted in units of 1e-8, the others lose eight digits.
+    A, B, C = model.A, model.B, np.vstack([model.C, *further])
     # with one row and column for inputs and outputs
     inputs = np.abs(B).max(axis=1, keepdims=True)
     outputs = np.abs(C).max(axis=0, keepdims=True)

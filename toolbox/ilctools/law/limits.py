@@ -151,7 +151,7 @@ def _nearest(loop, actuators, u, weight, samples):
 def _program(loop, weight, samples, active):
     """Of all x, then of all z before the rest: the cost, the dynamics, the commands."""
     P, (K, N), m, n = loop.P, _feedback(loop), len(loop.outputs), loop.P.nstates
-    A, B, CK = balanced(P.A, P.B, np.vstack([P.C, K]))  # else feasible programs may fail
+    A, B, CK = balanced(P, K)  # else feasible programs may fail
     now = sparse.eye_array(samples, format="csc")
     before = sparse.eye_array(samples, k=-1, format="csc")
 

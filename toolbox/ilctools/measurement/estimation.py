@@ -25,6 +25,7 @@ zeros outside as its estimate (Rouche): none, or the plant does not settle. It m
 where zero is within `UNSTABLE` standard deviations of Re(1 + a) at a frequency.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -153,7 +154,7 @@ class EstimatedResponse(Measured):
         return replace(self, units=self.units * scale / scale[:, None])
 
     def model(self) -> control.StateSpace:
-        """The model of lowest order within the joint radius of 99 %.
+        """A model within the joint radius of 99 %, of which the next lower order is not.
 
         Balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
         (1978) 705-714); a delay is states, too. A LogError if no order is enough.
@@ -162,15 +163,22 @@ class EstimatedResponse(Measured):
         impulse = self.units[..., None] * [fit.impulse(2 * rows + 1) for fit in self.fits]
         full, S = control.eigensys_realization(impulse, rows, rows, rows)
         inputs, outputs = self.names
-        for n in range(1 + np.count_nonzero(S[:rows] > EXACT * S[0])):
-            A, B, C = full.A[:n, :n], full.B[:n], full.C[:, :n]
-            model = control.ss(A, B, C, full.D, self.loop.Ts, inputs=inputs, outputs=outputs)
-            off = frequency_response(model, self.omega) - self.response
-            if np.all(largest_singular_values(off) <= radius):
-                return model
+
+        def of_order(n):
+            parts = full.A[:n, :n], full.B[:n], full.C[:, :n], full.D
+            return control.ss(*parts, self.loop.Ts, inputs=inputs, outputs=outputs)
+
+        def within(n):
+            off = frequency_response(of_order(n), self.omega) - self.response
+            return np.all(largest_singular_values(off) <= radius)
+
+        orders = range(1 + np.count_nonzero(S[:rows] > EXACT * S[0]))
+        n = bisect_left(orders, True, key=within)
+        if n < len(orders):
+            return of_order(n)
         raise LogError(
-            f"P has no model of up to {n} states within its radius: take its frequency response, "
-            "frd(), or move the input less at high frequencies"
+            f"P has no model of up to {n - 1} states within its radius: take its frequency "
+            "response, frd(), or move the input less at high frequencies"
         )
 
     def check(self, log: xr.Dataset) -> Agreement:

@@ -117,10 +117,10 @@ def measured_response(
     assumed: splines miss P by no more than they miss lines that are left out
     """
     asked = {"of": of, "delay": delay}
+    asked = {name: value for name, value in asked.items() if value is not None}
     if isinstance(log, control.FrequencyResponseData):
         for name, value in asked.items():
-            if value is not None:
-                raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
+            raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
         return _warned(tabulated(log, uncertainty))
     logs = log if isinstance(log, list | tuple) and log else [log]
     for one in logs:
@@ -134,8 +134,7 @@ def measured_response(
         raise ValueError(
             "uncertainty must be None where log is a record, from which the radius is estimated"
         )
-    plain = logs is log or any(value is not None for value in asked.values())
-    excitation = None if plain else excitation_of(log)
+    excitation = None if asked or logs is log else excitation_of(log)
     if excitation is None:
         measured = estimated_response(logs, **asked)
     elif (loop := loop_of(log)) is None:

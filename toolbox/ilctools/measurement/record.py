@@ -110,8 +110,8 @@ def _titles(log, trials, name):
 
 
 def _samples_of(delay, m):
-    delay = 0 if delay is None else delay
-    delay = arguments.array("delay", [delay] * m if np.ndim(delay) == 0 else delay, (m,))
+    delay = [delay or 0] * m if np.ndim(delay) == 0 else delay
+    delay = arguments.array("delay", delay, (m,))
     if delay.min() < 0 or np.any(delay % 1):
         raise ValueError(f"delay = {delay.tolist()} must be whole numbers of samples, 0 or more")
     return delay.astype(int)
@@ -126,6 +126,6 @@ def check_moved(signals, names, what, remedy):
 
 
 def _sizes(signals):
-    """Root mean square of the moves of signals (trial, time, channel); above zero."""
+    """Root mean square of the moves of signals (trial, time, channel)."""
     moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
-    return np.maximum(np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0)), 1e-300)
+    return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))
