@@ -107,7 +107,7 @@ REFUSALS = [  # a plant, arguments, and what the error names
     (tanks(), HELD | {"sizes": {"leak": 1}}, "sizes is about"),
     (tanks(), HELD | {"sizes": {"left": 0}}, r"sizes\['left'\] = 0"),
     (lag(), {"Qs": [[-1.0]]}, "Qs must be positive semi"),
-    (lag(), {"Qo": np.zeros((2, 2))}, "the observer of Qo and Ro is unstable"),
+    (lag(), {"Qo": np.zeros((2, 2))}, "Qo and Ro leave .* a weight is zero"),
     (stage(), {"controls": ["F"], "Qs": np.diag([1e60, 1e-60])}, "Qs and Rs leave the Riccati"),
     # The input that reaches the unstable mode is a disturbance.
     (

@@ -139,12 +139,8 @@ def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
     Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
     Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
     Aa, Ca = _with_disturbance(A, B, C)
-    Ps = _riccati(A, B, Qs, Rs, "Qs and Rs")  # (25)
-    Ks = np.linalg.solve(B.T @ Ps @ B + Rs, B.T @ Ps @ A)  # (26)
-    Po = _riccati(Aa.T, Ca.T, Qo, Ro, "Qo and Ro")  # (28)
-    KL = np.linalg.solve(Ca @ Po @ Ca.T + Ro, Ca @ Po @ Aa.T).T  # (29)
-    arguments.stable("the loop of Qs and Rs", np.linalg.eigvals(A - B @ Ks))
-    arguments.stable("the observer of Qo and Ro", np.linalg.eigvals(Aa - KL @ Ca))
+    Ks = _gain(A, B, Qs, Rs, "Qs and Rs")  # (26)
+    KL = _gain(Aa.T, Ca.T, Qo, Ro, "Qo and Ro").T  # (29)
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
     return Ks @ inverse, Ta @ KL, N
 
@@ -172,16 +168,21 @@ def _even_coordinates(A, B, C):
     return Z * scale[:n], Z.T / scale[:n, None]
 
 
-def _riccati(A, B, Q, R, weights):
+def _gain(A, B, Q, R, weights):
+    """K of a Riccati equation; one with a mode on the circle is refused either way."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", LinAlgWarning)
-            return solve_discrete_are(A, B, Q, R)
+            P = solve_discrete_are(A, B, Q, R)  # (25), (28)
+        K = np.linalg.solve(B.T @ P @ B + R, B.T @ P @ A)  # (26), (29)
+        arguments.stable("A - B K", np.linalg.eigvals(A - B @ K))
+        return K
     # LinAlgError is a ValueError, and not the only one
     except (ValueError, LinAlgWarning):
         raise ValueError(
-            f"{weights} leave the Riccati equation of this plant without a solution: an unstable "
-            "mode is out of reach of the controls, or not seen in the outputs; or the plant has a "
-            "zero at z = 1, so that some constant input leaves no trace in them; or a weight is "
-            "zero or too far from the other, where `sizes`, what counts as large, may help"
+            f"{weights} leave the Riccati equation of this plant without a stable solution: an "
+            "unstable mode is out of reach of the controls, or not seen in the outputs; or the "
+            "plant has a zero at z = 1, so that some constant input leaves no trace in them; or a "
+            "weight is zero or too far from the other, where `sizes`, what counts as large, may "
+            "help"
         ) from None
