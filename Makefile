@@ -63,8 +63,8 @@ newest: $(BIN)/ready  ## unit tests with the newest packages that pyproject.toml
 	build/newest/bin/pytest -q
 
 measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=survey; alone, it lists what there is
-	@test -n "$(WHAT)" || { grep -l __main__ benchmarks/*.py | grep -v report | xargs grep -m 1 '^"""' \
-		| sed 's|benchmarks/\(.*\).py:"""|make measure WHAT=\1\t|' | expand -t 32; exit 2; }
+	@test -n "$(WHAT)" || { grep -l __main__ benchmarks/*.py | xargs grep -m 1 '^"""' \
+		| sed 's|benchmarks/\(.*\).py:"""|make measure WHAT=\1\t|' | expand -t 40; exit 2; }
 	@PYTHONPATH=toolbox/tests $(BIN)/python benchmarks/$(WHAT).py
 
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages

@@ -4,13 +4,16 @@
 """
 
 import multiprocessing
+import os
+import platform
 import resource
+import timeit
+import warnings
 from concurrent.futures import ProcessPoolExecutor
 
-import cvxpy as cp
 import numpy as np
-import pytest
 from problems import statement
+from runner import publish, table
 
 from ilctools import synthesise, zero_phase_butterworth
 from rodlib import paper_choices, paper_loop
@@ -29,33 +32,14 @@ def by_cvxpy(P, Q, omega, Ts, structure):
     return statement(P, Q.frequency_response(omega), omega, Ts, **choices)
 
 
-def naive_cvxpy(P, Q, omega, Ts, structure):
-    """(39) with one sigma_max atom per frequency, as it stands in the paper.
-
-    In the plain powers of z Clarabel fails, so the taps are those of an orthonormal basis.
-    """
-    n, m, _ = P.shape
-    q = Q.frequency_response(omega)
-    z = np.exp(1j * omega * Ts)[:, None] ** np.arange(1, 11)
-    R = np.linalg.qr(np.vstack([z.real, z.imag]), mode="r")
-    basis = z @ np.linalg.inv(R) * np.sqrt(n)
-    taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(10)]
-    L = [sum(w * tap for w, tap in zip(row, taps, strict=True)) for row in basis]
-    rates = [cp.sigma_max(q[i] * (np.eye(m) - P[i] @ L[i])) for i in range(n)]
-    inside = [rate for rate, w in zip(rates, omega, strict=True) if w <= 0.02]
-    bounds = [rate <= 0.9 for rate in rates] + [cp.sigma_max(L_i) <= 50 for L_i in L]
-    cp.Problem(cp.Minimize(cp.sum(cp.hstack(inside))), bounds).solve(solver=cp.CLARABEL)
-
-
-def structured(P, Q, omega, Ts, **changes):
+def structured(P, Q, omega, Ts, structure="diagonal", **changes):
     """By the toolbox's solver, with the paper's choices but for changes."""
-    return synthesise(P, Q, omega, Ts, **paper_choices(**changes))
+    return synthesise(P, Q, omega, Ts, **paper_choices(structure=structure, **changes))
 
 
 def of_the_model(P, Q, omega, Ts, structure):
     """With the plant as a model, so that what holds between the frequencies is proven."""
-    changes = {"structure": structure, "everywhere": True}
-    return structured(paper_loop(), Q, omega, Ts, **changes)
+    return structured(paper_loop(), Q, omega, Ts, structure, everywhere=True)
 
 
 def for_rods(count=1000, frequencies=1000):
@@ -66,46 +50,52 @@ def for_rods(count=1000, frequencies=1000):
     return structured([P, *plants], Q, omega, Ts, M_max=0.99)
 
 
-def _added_memory(function, arguments, keywords):
+METHODS = {  # and how often each is called
+    "structured": (structured, 9),
+    "structured, bounds at every frequency": (of_the_model, 9),
+    "CVXPY, batched": (by_cvxpy, 2),
+}
+TITLES = ["problem (39)", "frequencies", "solver", "time (s)", "ratio", "memory (MB)"]
+
+
+def added_memory(function, arguments):
+    """What a call adds to a process at its peak, MB."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    function(*arguments, **keywords)
+    with warnings.catch_warnings(action="ignore"):
+        function(*arguments)
     return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
 
 
-def peak_memory(function, *arguments, **keywords):
-    """Memory that a call adds to a fresh process at its peak, MB."""
+def measured(function, arguments, calls):
+    """The shortest time of some calls, s, and the memory that one adds to a fresh process, MB."""
     # A spawned process would count the peak of this one as its own.
     context = multiprocessing.get_context("forkserver")
-    with ProcessPoolExecutor(1, mp_context=context) as executor:
-        return executor.submit(_added_memory, function, arguments, keywords).result()
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        memory = pool.submit(added_memory, function, arguments).result()
+    with warnings.catch_warnings(action="ignore"):
+        times = timeit.repeat(lambda: function(*arguments), number=1, repeat=calls)
+    return min(times), memory
 
 
-def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
-    benchmark.group = group
-    memory = peak_memory(function, *arguments, **keywords)
-    benchmark.extra_info.update(x=x, memory=memory)
-    benchmark.pedantic(function, arguments, keywords, rounds=rounds)
+def compared(structure, frequencies):
+    """Rows of the table: a problem by each method."""
+    problem, times = paper_problem(frequencies), []
+    for label, (function, calls) in METHODS.items():
+        time, memory = measured(function, (*problem, structure), calls)
+        times.append(time)
+        numbers = f"{time:.2f}", f"{time / times[0]:.3g}", f"{memory:.0f}"
+        yield [structure, f"{frequencies}", label, *numbers]
 
 
-METHODS = {
-    "naive": (naive_cvxpy, 1),
-    "cvxpy": (by_cvxpy, 2),
-    "structured": (structured, 9),
-    "everywhere": (of_the_model, 9),
-}
+def main(sizes=(250, 1000), rods=1000):
+    """The table goes to figures/performance.md."""
+    structures = "diagonal", "full"
+    rows = [row for n in sizes for structure in structures for row in compared(structure, n)]
+    time, memory = measured(for_rods, (rods, sizes[-1]), 3)
+    last = f"{rods} rods", f"{sizes[-1]}", "structured", f"{time:.2f}", "1", f"{memory:.0f}"
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    publish("performance", f"{table(TITLES, [*rows, last])}\n\nMeasured on: {machine}.")
 
 
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("frequencies", [250, 1000])
-@pytest.mark.filterwarnings("ignore")
-def test_against_cvxpy(benchmark, frequencies, method, structure):
-    if (method, frequencies) == ("naive", 1000):
-        pytest.skip("takes too long")
-    problem, options = paper_problem(frequencies), {"structure": structure}
-    group, (function, rounds) = f"{structure}, {frequencies}", METHODS[method]
-    measure(benchmark, group, method, function, *problem, rounds=rounds, **options)
-
-
-def test_a_thousand_plants(benchmark):
-    measure(benchmark, "1000 rods, 1000", "structured", for_rods)
+if __name__ == "__main__":
+    main()

@@ -1,21 +1,16 @@
 """The benchmarks are not timed here; a few cases of each run, and their outcome is tested."""
 
-import json
 import re
 from contextlib import nullcontext
 from importlib import import_module
 from types import SimpleNamespace
 
-import numpy as np
-import pytest
-
-pytest.importorskip("pytest_benchmark")
-
 import bench_synthesis
 import constants
+import numpy as np
 import peers
+import pytest
 import regions
-import report
 import runner
 import survey
 import watch
@@ -97,25 +92,13 @@ def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkey
     assert watch.quiet_row("furnace", [(10, {"model": 3})])[4:] == ["1", "100.00"]
 
 
-def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, tmp_path):
+def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatch):
     """That all methods find the same filter, toolbox/tests/test_base.py tests."""
-    problem = bench_synthesis.paper_problem(60)
-    memory = bench_synthesis._added_memory(bench_synthesis.structured, problem, {})
-    assert 0 <= memory < 500
-    entries = [
-        {"group": "full, 60", "stats": {"min": time}, "extra_info": {"x": x, "memory": memory}}
-        for x, time in (("cvxpy", 30.0), ("structured", 2.0))
-    ]
-    report_of = {
-        "benchmarks": entries,
-        "machine_info": {"cpu": {}} | dict.fromkeys(["machine", "python_version"], "3"),
-    }
-    (tmp_path / "benchmark.json").write_text(json.dumps(report_of))
-    _, _, *rows = page("performance", report.main, tmp_path / "benchmark.json").splitlines()
-    assert rows[:2] == [
-        f"| full | 60 | structured | 2.00 | 1 | {memory:.0f} |",
-        f"| full | 60 | CVXPY, batched | 30.00 | 15 | {memory:.0f} |",
-    ]
+    monkeypatch.setattr(bench_synthesis, "measured", lambda function, arguments, calls: (calls, 7))
+    *rows, _, _ = page("performance", bench_synthesis.main, (60,), 2).splitlines()
+    assert rows[-1] == "| 2 rods | 60 | structured | 3.00 | 1 | 7 |" and len(rows) == 2 + 6 + 1
+    assert rows[3] == "| diagonal | 60 | structured, bounds at every frequency | 9.00 | 1 | 7 |"
+    assert 0 <= bench_synthesis.added_memory(bench_synthesis.for_rods, (1, 60)) < 500
 
 
 def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():
