@@ -109,7 +109,8 @@ def names_of(signals) -> list[str] | None:
     if hasattr(signals, "columns"):
         labels = [*signals.columns]
     else:
-        role = next((r for r in ROLES if r in getattr(signals, "coords", ())), None)
+        roles = *ROLES, *tuple(getattr(signals, "dims", ()))[-1:]
+        role = next((r for r in roles if r in getattr(signals, "coords", ())), None)
         labels = [] if role is None else np.atleast_1d(signals[role]).tolist()
     return labels if labels and all(isinstance(label, str) for label in labels) else None
 

@@ -81,14 +81,15 @@ class RegularisedInverse:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Those inside the unit circle, of the loop that K closes."""
-        (A, B, C), D = balanced(self.P), self.P.D
-        R, S = D.T @ D + self.b**2 * np.eye(self.channels), C.T @ D
+        """Those inside the unit circle, of the loop that K closes; of P / b, whose b is one."""
+        P = self.P * (1 / self.b)  # or the units of y would decide which digits are lost
+        (A, B, C), D = balanced(P), P.D
+        R, S = D.T @ D + np.eye(self.channels), C.T @ D
         K, _, poles = control.dlqr(A, B, C.T @ C, R, S)
         factor = control.ss(A, B, K, np.eye(self.channels), self.Ts)  # F, but for a constant
         omega = np.append(np.abs(np.angle(poles)), [0, np.pi]) / self.Ts
-        F, P = (frequency_response(model, omega) for model in (factor, self.P))
-        of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + self.b**2, axis=1)
+        F, P = (frequency_response(model, omega) for model in (factor, P))
+        of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + 1, axis=1)
         ratio = np.abs(np.linalg.det(F)) ** 2 / of_normal  # F* F = P* P + b^2
         if ratio.max() > ratio.min() * (1 + EXACT):
             raise ValueError(f"b = {self.b} is too small for P: rounding decides the poles of B")

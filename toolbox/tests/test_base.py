@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from plants import STAGE_WITH_MODES as STAGE
-from plants import as_matrix, lifted, sigma_of_M
+from plants import as_matrix, furnace, lifted, sigma_of_M
 from problems import statement
 
 from ilctools import (
@@ -185,6 +185,14 @@ def test_of_a_list_L_is_the_quadratic_law_of_all_plants_and_keeps_its_bound():
     found = design.filter.frequency_response(omega)
     atol = 1e-9 * np.abs(L / units).max()
     assert_allclose(found[omega < 0.3], (L / units)[omega < 0.3], rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("gain", [1e-8, 1e6])
+def test_the_unit_of_y_decides_nothing(gain):
+    """Behind a delay of thirty samples, whose B has poles that rounding may hide."""
+    ours, theirs = (synthesise(k * furnace(30)).certificate for k in (gain, 1.0))
+    assert ours.rate == pytest.approx(theirs.rate, rel=1e-6)
+    assert ours.trial[1] == pytest.approx(theirs.trial[1], rel=1e-6)
 
 
 def test_where_P_passes_nothing_the_rest_is_learned_and_print_says_where():

@@ -29,7 +29,6 @@ from ilctools import (
     run_trials,
     save_law,
     shake,
-    state_sequence,
     synthesise,
     transfer,
     trial_norm,
@@ -113,8 +112,6 @@ REFUSED = {  # what the error says, and a call
     "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(
         TANKS, 0.01, 1.0, [1, 1, 1], 1.2
     ),
-    "Qs must be positive semidefinite": lambda: current_trial_loop(furnace(), Qs=-np.eye(31)),
-    "forcing has shape": lambda: state_sequence(np.eye(2), np.ones((4, 1)), [0.0, 0.0]),
     "(?s:.*)infeasible(?s:.*)units, signs and the order": lambda: synthesise(
         [LAG, 1000 * LAG], LAW.Q, order=3, L_max=None
     ),
@@ -281,8 +278,9 @@ def test_labelled_columns_are_matched_by_name():
     names, frame = PAPER.disturbances, pd.DataFrame(TWO[:, ::-1], columns=["y2", "y1"])
     d = pd.DataFrame({name: [i] * 60 for i, name in enumerate(names)})
     plain = run_trials(PAPER, LAW_OF_TWO, TWO, d.values, 2)
-    d = d[names[::-1]]
-    assert run_trials(PAPER, LAW_OF_TWO, frame, d, 2, v=0 * frame).identical(plain)
+    d, channels = d[names[::-1]], xr.DataArray(frame, dims=["time", "channel"])
+    for labelled in (frame, channels):
+        assert run_trials(PAPER, LAW_OF_TWO, labelled, d, 2, v=0 * frame).identical(plain)
 
 
 def test_one_channel_needs_no_axis():

@@ -4,8 +4,9 @@ import control
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import companion
 
-from ilctools import minimal_realisation
+from ilctools import minimal_realisation, state_sequence
 from ilctools.models import sampled_plant
 
 POLES = st.lists(st.sampled_from([0.0, 0.0, 0.5, 0.9, 0.99, -0.3]), max_size=3)
@@ -43,3 +44,18 @@ def test_states_that_rounding_cannot_tell_apart_are_not_left_out():
         assert "rounding decides" in str(error)
     else:
         np.testing.assert_allclose(minimal(ANGLES), P(ANGLES), rtol=0, atol=1e-7)
+
+
+def test_a_numerator_that_is_small_is_no_zero():
+    P = control.tf([8e-15, 1.2e-14], [1, -0.5], 1.0)
+    np.testing.assert_allclose(sampled_plant(P)(1.0), P(1.0), rtol=1e-12)
+
+
+def test_states_of_a_companion_form_obey_their_recursion():
+    """Of three modes and a servo at 1 kHz, whose A has entries of up to 70: no power of it is A."""
+    poles = np.exp(1e-3 * np.array([-2 + 190j, -5 + 530j, -9 + 1200j, -30 + 30j]))
+    A = companion(np.poly([*poles, *poles.conj()]).real)
+    forcing = np.random.default_rng(0).standard_normal((2000, 8))
+    x = state_sequence(A, forcing, forcing[0])
+    residual = x[1:] - x[:-1] @ A.T - forcing[:-1]
+    assert np.abs(residual).max() < 1e-12 * np.abs(x).max()

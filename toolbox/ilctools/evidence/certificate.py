@@ -19,7 +19,7 @@ from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
-from ilctools.problem.problem import Problem, Solution
+from ilctools.problem.problem import K_MAX, Problem, Solution
 from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import TIED, largest_singular_values
 
@@ -96,16 +96,18 @@ class Certificate:
         peaks, plants = [peak.omega for peak in self.peaks.values()], range(len(problem.plants))
         grids = [dense_grid(problem.response, k, self.filter) for k in plants]
         omega = np.concatenate([problem.omega, peaks, *grids])
-        radius = self._at(omega, plants).spectral_radius.max()
-        assumed = self.peaks.get("assumed")
+        own = self._at(omega, plants)
+        # what the eigenvalues do not have: what splines may miss, and what is assumed beyond
+        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1}
+        unknown = [self.peaks[how].sigma >= least[how] for how in least.keys() & self.peaks]
         return Convergence(
             problem.omega,
             self.worst.sigma,
             gamma=self.rate,
             at=float(self.highest_peak.omega),
-            spectral_radius=float(radius),
+            spectral_radius=float(own.spectral_radius.max()),
             proven=self.proven,
-            uncertain=problem.radius is not None or (assumed is not None and assumed.sigma >= 1),
+            uncertain=problem.radius is not None or any(unknown),
             assumptions=problem.assumptions,
         )
 
@@ -131,7 +133,7 @@ class Certificate:
         """How far the plant may be off before monotone convergence is lost."""
         return margins(self.problem, self.filter)
 
-    @property
+    @cached_property
     def predicted(self) -> dict[int, float] | None:
         """RMS of the error, by trial, see :func:`.predicted_rms`; None without a reference."""
         return None if self.problem.objective.band else predicted_rms(self.problem, self.filter)
@@ -195,7 +197,10 @@ class Certificate:
         at = np.append(near, peak.omega).min()
         where = ", proven" if self.proven else f" {_span(problem.omega)}, estimated"
         samples, norm = self.trial
-        gains = [f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s, sigma_max(L) {self.all_L:.3g}"]
+        gains = [f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s"]
+        if problem.response.models[0] is None:  # whose phase may be in degrees
+            gains[0] += f", where P lags by {problem.delay} samples"
+        gains.append(f"sigma_max(L) {self.all_L:.3g}")
         gains += [f"norm of a trial of {samples} samples {norm:.3g}"] if samples else []
         assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
         lines = [
@@ -276,7 +281,7 @@ class Certificate:
         limits = [f"{k} = {getattr(problem, k):g}" for k in reached if reached[k] > 1 - TIED]
         size = f"order = {problem.order}"
         if problem.base is not None:
-            size += " of K in L = B K, by convex optimisation"
+            size += f" of K in L = B K, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
         elif problem.order < problem.delay:
             size += f" (P lags by {problem.delay} samples at the cut-off)"
         return f"limited by {', '.join([*limits, size])}"

@@ -5,7 +5,8 @@ The plants P of a problem, in whose place stands, at each frequency omega, one o
     g P(omega),    exp(-j omega d Ts) P(omega),    P(a omega),    P(omega) + Delta, ||Delta|| <= r,
 
 a gain g, a delay of d more samples, a plant slower by a in all, anything within a radius r: up to
-which g, d, a, r is sigma_max(Q (I - P L)) below one at all frequencies, for all plants?
+which g, d, a, r is sigma_max(Q (I - P L)) below one at all frequencies, for all plants, and all
+within the radius of the problem, which moves with them?
 They are found on the design grid and where the modes of models are, on splines, by steps outwards
 to the first that fails, and by Brent's method: two digits. Of samples, a mode that is narrower than
 a step of omega is not seen. The search ends with ten times the gain, eight times the
@@ -58,8 +59,8 @@ def margins(problem: Problem, L) -> Margins:
     modes = [model.poles() for model in response.models if model is not None]
     grid = np.clip(phase_grid(modes, STEP) / problem.Ts, *ends) if modes else ends
     omega = np.union1d(problem.omega, grid)
-    plants = [response.anywhere(k, omega)[0] for k in range(len(response.models))]
-    P_at = CubicSpline(omega, plants, axis=1)
+    known = [response.anywhere(k, omega) for k in range(len(response.models))]
+    P_at = CubicSpline(omega, [P for P, _ in known], axis=1)
     Q_at, L_at = (CubicSpline(omega, X.frequency_response(omega)) for X in (problem.lowpass, L))
     unit = np.linalg.norm(P_at(np.clip(cutoff, *ends))[0], 2) or 1.0
 
@@ -67,8 +68,11 @@ def margins(problem: Problem, L) -> Margins:
         at = np.union1d(omega, np.clip(omega / slower, *ends))
         at = at[(slower * at <= ends[1]) | (not response.sampled)]
         turned = gain * np.exp(-1j * at * delay * problem.Ts)[:, None, None]
-        Q, L, plants = Q_at(at), L_at(at), turned * P_at(np.clip(slower * at, *ends))
-        return max(within_radius(P, Q, L, radius * unit, 1.0).max() for P in plants)
+        there = np.clip(slower * at, *ends)
+        Q, L, plants = Q_at(at), L_at(at), turned * P_at(there)
+        radii = [gain * np.interp(there, omega, own) + radius * unit for _, own in known]
+        regions = zip(plants, radii, strict=True)
+        return max(within_radius(P, Q, L, r, 1.0).max() for P, r in regions)
 
     limit, samples = partial(_limit, sigma), TURN / (cutoff * problem.Ts)
     return Margins(

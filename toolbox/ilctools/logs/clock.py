@@ -4,6 +4,8 @@ A table has the columns trial and time (s) and is indexed by the rows of the fil
 each step is compared with Ts, and so is their mean.
 """
 
+import re
+
 import pandas as pd
 
 from ilctools.errors import LogError
@@ -30,7 +32,8 @@ def mean_step(table: pd.DataFrame) -> float:
 
 def seconds(unit: str) -> float:
     """How long a unit of time is; a ValueError for any other."""
-    return pd.Timedelta(1, {"msec": "ms", "usec": "us"}.get(unit, unit)).total_seconds()
+    unit = re.sub("secs?$", "s", unit.replace("\u03bc", "\u00b5"))  # pandas knows one mu
+    return pd.Timedelta(1, unit).total_seconds()
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:

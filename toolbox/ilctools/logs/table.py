@@ -19,9 +19,10 @@ from ilctools.signals import SIGNALS
 SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
+# of a clock's title, "t_ms", with either mu
 ENDING = re.compile(
-    r"(?:\b|_)([nuµm]?s|[um]?sec|min|h|seconds|minutes|hours|days)$"
-)  # of a clock's title, "t_ms"
+    r"(?i)(?:\b|_)((?:[nuµ\u03bcm]|milli|micro)?s(?:ec(?:ond)?s?)?|min(?:ute)?|hr?|hour|day)s?\s*$"
+)
 
 
 def read_table(

@@ -81,8 +81,7 @@ def current_trial_loop(
     m = plant.noutputs
     weights = _weights(plant, sizes, Qs, Rs, Qo, Ro)
     A, B, C = plant.A, plant.B[:, :m], plant.C
-    even = None if sizes is None else _even_coordinates(A, B, C)
-    Ks, KL, N = _gains(A, B, C, *weights, coordinates=even)
+    Ks, KL, N = _gains(A, B, C, *weights, _even_coordinates(A, B, C))
     return CurrentTrialLoop(plant, Ks, KL, N, units)
 
 
@@ -133,9 +132,8 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
 
 def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
     """K_s of (26), K_L of (29) and N, computed in the coordinates of the state that are given."""
-    n, m = B.shape
-    T, inverse = (np.eye(n), np.eye(n)) if coordinates is None else coordinates
-    A, B, C = _in_coordinates((T, inverse), A, B, C)
+    (n, m), (T, inverse) = B.shape, coordinates
+    A, B, C = inverse @ A @ T, inverse @ B, C @ T
     Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
     Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
     Aa, Ca = _with_disturbance(A, B, C)
@@ -152,15 +150,10 @@ def _with_disturbance(A, B, C):
     return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])  # (15)
 
 
-def _in_coordinates(coordinates, A, B, C):
-    T, inverse = coordinates
-    return inverse @ A @ T, inverse @ B, C @ T
-
-
 def _even_coordinates(A, B, C):
     """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone."""
-    # With `sizes` the loop does not depend on them, but rounding does: of a transfer function with
-    # lags that are slow beside Ts, the Riccati equations have no solution in its own coordinates.
+    # Rounding depends on them: of a transfer function with lags that are slow beside Ts, the
+    # Riccati equations have no solution in its own coordinates.
     n, m = B.shape
     _, Z = schur(A, output="real")
     plant = np.block([[Z.T @ A @ Z, Z.T @ B], [C @ Z, np.zeros((m, m))]])

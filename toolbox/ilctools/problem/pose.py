@@ -8,7 +8,7 @@ from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
 from ilctools.problem.lowpass import lowpass_of
 from ilctools.problem.problem import Bounds, Objective, Problem
-from ilctools.problem.reference import first_error
+from ilctools.problem.reference import error_weights, first_error
 from ilctools.response.response import ROUNDING, Response
 from ilctools.singular_values import largest_singular_values
 
@@ -110,7 +110,7 @@ def _order(response, cutoff, order, base, chosen):
 def _objective(response, cutoff, Q, kind, band, reference, chosen):
     """What is minimised: a sum in a band, or weighted by the first error of a reference; a peak."""
     summed = arguments.choice("objective", kind, ["sum", "peak"]) == "sum"
-    power = None
+    error = None
     if reference is None:
         band, weights = _of_band(response.omega, cutoff, band, summed, chosen)
     elif band is not None or not summed:
@@ -122,14 +122,15 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
         m = len(response.scale)
         names = response.signals.labels[:m] or arguments.names_of(reference) or range(m)
         r = arguments.in_columns("reference", reference, ("time", m), names) / response.scale
-        power, weights = first_error(response.P[0], response.angles, r)
+        error = first_error(response, r)
+        weights = error_weights(error, response.angles)
     largest = np.abs(Q[weights > 0] if summed else Q).max()
     if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
         raise ValueError(
             f"Q has a gain of {largest:.3g} at most where the objective counts, so that nothing "
             "is learned: its cut-off must be in rad/s"
         )
-    return Objective(kind, weights, band, power)
+    return Objective(kind, weights, band, error)
 
 
 def _of_band(omega, cutoff, band, summed, chosen):

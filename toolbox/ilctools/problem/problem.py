@@ -32,10 +32,10 @@ class Objective:
     # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
     kind: str
     weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
-    # over which "sum" sums, rad/s; None if a reference weights it: then there is the power of the
-    # first trial's error at the design frequencies, (n, m, m), see `reference`
+    # over which "sum" sums, rad/s; None if a reference weights it: then there are angles, (k,), and
+    # the spectrum of the first trial's error at them, (k, m), see `reference`
     band: tuple[float, float] | None = None
-    first_error: np.ndarray | None = None
+    first_error: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def summed(self) -> np.ndarray:

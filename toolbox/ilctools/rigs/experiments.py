@@ -70,9 +70,9 @@ def record(
         most, or two just after one has ended without reset; without it, all. A link is followed.
         If the log is there, its trials must be of the same experiment, and the next one follows; a
         last trial that is torn or shorter than the first is dropped, with a warning. That the plant
-        is the same, nothing checks but the trials that follow. If it has `trials` or more, none is
-        run, and all of them are returned. Meanwhile no other process can record to it, and no other
-        program must write to it.
+        and a commanded disturbance are the same, nothing checks but the trials that follow. If it
+        has `trials` or more, none is run, and all of them are returned. Meanwhile no other process
+        can record to it, and no other program must write to it.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. With L None, that of all trials.
     pause : int, optional

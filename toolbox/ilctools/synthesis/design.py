@@ -66,8 +66,10 @@ def synthesise(
         discrete-time model of it, state space or transfer function. Of a list the first is the
         nominal plant, whose convergence is made fast; the bounds hold for all of them. What
         :func:`measured_response` returns has its radius, in which the truth lies with a probability
-        of 0.99; for another, pass both of ``P.on(omega, confidence)`` as P and `uncertainty`. Above
-        the last frequency of samples, P is taken for zero with a radius, its size there.
+        of 0.99; for another, pass both of ``P.on(omega, confidence)`` as P and `uncertainty`.
+        Samples are of what is sampled, with the hold, which python-control's data of a continuous
+        model lack, half a sample of delay: sample that first. Above the last frequency of samples,
+        P is taken for zero with a radius, its size there.
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
         Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
         where P reaches: the least singular value of all plants is a tenth of what it is at rest
@@ -312,12 +314,13 @@ def _infeasible(problem) -> InfeasibleError:
     raised = "M_max" if problem.L_max is None else "M_max or L_max"
     texts = "; ".join(problem.assumptions)
     return InfeasibleError(
-        f"infeasible: M_max = {problem.M_max:g} and L_max = {problem.L_max} are too tight for a "
-        f"{problem.structure} filter of order = {problem.order} (P lags by {problem.delay} samples "
-        f"at the cut-off); the smallest feasible M_max is {least:.6g} (most in the way: {where}): "
-        f"raise {raised}, take {longer}, lower the cut-off of Q (without Q, it is chosen), or "
-        "design a faster loop. If no bound so tight was meant: are units, signs "
-        f"and the order of the channels right, in each plant?{_remedy(problem)} {texts}",
+        f"infeasible: M_max = {problem.M_max:g} and L_max = {problem.L_max or np.inf:g} are too "
+        f"tight for a {problem.structure} filter of order = {problem.order} (P lags by "
+        f"{problem.delay} samples at the cut-off); the smallest feasible M_max is {least:.6g} "
+        f"(most in the way: {where}): raise {raised}, take {longer}, lower the cut-off of Q "
+        "(without Q, it is chosen), or design a faster loop. If no bound so tight was meant: are "
+        "units, signs and the order of the channels right, in each plant?"
+        f"{_remedy(problem)} {texts}",
         nearest.largest,
         plant,
         omega,

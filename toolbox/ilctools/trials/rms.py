@@ -28,7 +28,7 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     if isinstance(e, xr.Dataset):
         if not {"reference", "y"} <= set(e):
             raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
-        e = e.reference - e.y
+        e = e.reference.astype(float) - e.y
     arguments.instance("e", e, xr.DataArray)
     if not {"time", "channel"} <= set(e.dims):
         raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
@@ -38,7 +38,7 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
 
 def rms_of(e: xr.DataArray) -> xr.DataArray:
     """RMS(e_k), also of what is not finite."""
-    return np.sqrt((e**2).sum("channel").mean("time"))
+    return np.sqrt((e.astype(float) ** 2).sum("channel").mean("time"))
 
 
 def harmonics(signals) -> np.ndarray:

@@ -67,10 +67,11 @@ class Transfer:
 
     def __repr__(self):
         size, share = np.sqrt(np.mean(self.v**2, axis=0)), np.round(self.predicted, 4)
-        return (
-            f"v of {len(self.v)} samples, of RMS {size}, may be off by {self.uncertainty}; F and c "
-            f"predict {share} of v + e in the trials"
-        )
+        with np.printoptions(precision=3):
+            return (
+                f"v of {len(self.v)} samples, of RMS {size}, may be off by {self.uncertainty}; F "
+                f"and c predict {share} of v + e in the trials"
+            )
 
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:

@@ -151,6 +151,8 @@ def test_a_plant_that_diverges_between_the_samples_is_not_said_to_converge():
         dense = np.union1d(np.linspace(0.1, 314, 4000), np.linspace(w - 0.2, w + 0.2, 2001))
         assert found.converges == (convergence(plant, Q, design.filter, dense).gamma < 1)
         said.add(found.converges)
+        samples = control.frd(plant(np.exp(0.01j * omega)), omega, 0.01)
+        assert not design.check(samples).converges  # between them splines may miss as much
     assert False in said
 
 

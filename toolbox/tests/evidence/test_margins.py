@@ -11,8 +11,8 @@ from ilctools.evidence.margins import GAINS, RADII, TIMES, TURN
 LOWPASS = zero_phase_butterworth(2, 60.0, STAGE.dt)
 
 
-def peak_of(design, plant):
-    """The largest |M| of a plant of one channel as a function of what is off."""
+def peak_of(design, plant, share=0.0):
+    """The largest |M| of a plant of one channel within a share of it, and with what is off."""
     first, last = design.omega[0], np.pi / design.problem.Ts
     omega = np.linspace(first, last, 20_000)
     Q, L = (f.frequency_response(omega).ravel() for f in (design.Q, design.filter))
@@ -20,20 +20,22 @@ def peak_of(design, plant):
     def peak(gain=1.0, delay=0.0, slower=1.0, radius=0.0):
         P = frequency_response(plant, np.clip(slower * omega, first, last)).ravel()
         turned = gain * np.exp(-1j * omega * delay * design.problem.Ts)
+        radius = radius + share * np.abs(turned * P)
         return np.max(np.abs(Q * (1 - turned * P * L)) + Q * radius * np.abs(L))
 
     return peak
 
 
 @pytest.mark.parametrize("seed", [None, 1])
-@pytest.mark.parametrize("choices", [{}, {"base": None}])
+@pytest.mark.parametrize("choices", [{}, {"base": None}, {"uncertainty": 0.3}])
 def test_a_plant_that_is_off_by_less_converges_and_one_that_is_off_by_more_does_not(seed, choices):
     P, cutoff = STAGE, 150.0
     if seed is not None:
         P, cutoff = random_stable(seed, m=1, distance=0.2), 0.6
         P = P / np.abs(P(1))
     design = synthesise(P, zero_phase_butterworth(2, cutoff, P.dt), **choices)
-    margins, peak, checked = design.margins, peak_of(design, P), 0
+    peak = peak_of(design, P, choices.get("uncertainty", 0.0))
+    margins, checked = design.margins, 0
     (none, more), (sooner, later), (faster, slower) = margins.gain, margins.delay, margins.time
     size, turn = np.abs(P(np.exp(1j * cutoff * P.dt))), TURN[-1] / (cutoff * P.dt)
     for kind, design_value, limit, end in [

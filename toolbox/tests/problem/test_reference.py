@@ -7,7 +7,7 @@ import pytest
 from plants import LOOPS, axes, bump
 from problems import posed
 
-from ilctools import ClosedLoop, run_trials, zero_phase_butterworth
+from ilctools import ClosedLoop, rms, run_trials, synthesise, zero_phase_butterworth
 from ilctools.law.law import Law
 from ilctools.models import frequency_response
 
@@ -19,7 +19,7 @@ def first_error_of(loop, reference):
 
 
 @pytest.mark.parametrize("kind", [*LOOPS, "axes"])
-def test_power_and_weights_are_those_of_a_simulated_trial(kind):
+def test_weights_are_those_of_a_simulated_trial(kind):
     """Its transform at the frequencies, by Horner; a task that ends away from rest, too."""
     loop = LOOPS[kind]() if kind in LOOPS else ClosedLoop(axes())
     m, Ts = len(loop.outputs), loop.Ts
@@ -30,8 +30,6 @@ def test_power_and_weights_are_those_of_a_simulated_trial(kind):
         problem = posed(loop, Q, angles / Ts, reference=reference)
         e = first_error_of(loop, reference)
         e = np.pad(e, [(0, 30), (0, 0)], mode="linear_ramp")
-        total = np.trace(problem.objective.first_error.sum(axis=0)).real
-        assert total == pytest.approx((e**2).sum() / 300, rel=0.02)
         E = np.polynomial.polynomial.polyval(np.exp(-1j * angles), e)
         middles = (angles[1:] + angles[:-1]) / 2
         widths = np.diff([0, *middles, np.pi])
@@ -42,14 +40,11 @@ def test_power_and_weights_are_those_of_a_simulated_trial(kind):
 
 
 def test_a_narrow_line_between_the_frequencies_is_not_missed():
-    """A sine of a hundred periods, midway between two frequencies: they have all of it."""
+    """A sine of a hundred periods, midway between two frequencies: they have most of the weight."""
     loop = ClosedLoop(axes())
     Q, omega = zero_phase_butterworth(2, 5.0, 0.1), np.linspace(0.5, 30, 60)
     sine = np.sin(2.75 * 0.1 * np.arange(2285))[:, None] * [1.0, 0.0]
     problem = posed(loop, Q, omega, reference=sine)
-    power = np.trace(problem.objective.first_error, axis1=1, axis2=2).real
-    expected = (first_error_of(loop, sine) ** 2).sum(axis=1).mean()
-    assert power[4:6].sum() == pytest.approx(expected, rel=0.1)
     assert problem.objective.weights[4:6].sum() > 0.7
 
 
@@ -60,12 +55,22 @@ def test_a_table_gives_the_weights_of_its_model_and_labels_are_matched():
     P = np.moveaxis(frequency_response(model, omega), 0, -1)
     reference = pd.DataFrame(bump(400, [1.0, 3.0]), columns=["x", "y"])
     of_model, of_table = (
-        posed(plant, Q, omega, reference=signal).objective.first_error
+        posed(plant, Q, omega, reference=signal).objective.first_error[1]
         for plant, signal in (
             (ClosedLoop(model), reference.values),
             (control.frd(P, omega, 0.1, **names), reference[["y", "x"]]),
         )
     )
-    # differences of a running integral, exact to rounding relative to its end
-    atol = 1e-13 * np.trace(of_model.sum(axis=0)).real
-    np.testing.assert_allclose(of_table, of_model, rtol=1e-9, atol=atol)
+    # splines of 200 lines, which below the first are as there
+    assert np.abs(of_table - of_model).max() < 2e-3 * np.abs(of_model).max()
+
+
+def test_what_is_predicted_is_simulated_where_a_mode_is_narrower_than_the_grid():
+    """A stage with a damping of 0.001, moved so fast that it rings."""
+    mode = control.tf([188.5**2], [1, 2 * 1e-3 * 188.5, 188.5**2])
+    P = control.sample_system(control.ss(mode * control.tf([60.0], [1, 60.0])), 1e-3, "zoh")
+    move = np.pad(bump(50, [10.0]), [(500, 7450), (0, 0)])
+    design = synthesise(P, zero_phase_butterworth(2, 125.0, 1e-3), reference=move)
+    run = run_trials(ClosedLoop(P), design.law(), move, trials=3)
+    simulated = rms(run.e).values
+    np.testing.assert_allclose([*design.certificate.predicted.values()][:3], simulated, rtol=0.02)
