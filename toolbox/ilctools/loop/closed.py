@@ -21,6 +21,9 @@ from ilctools.signals import Signals, check_match
 class CurrentTrialLoop:
     """The feedback loop (19) and what it is made of. Arrays are in the order of `plant`.
 
+    That its gains are those of a stable loop and observer, and D of the controls is zero,
+    :func:`current_trial_loop` checks; here only shapes are.
+
     Attributes
     ----------
     plant : control.StateSpace

@@ -46,7 +46,8 @@ def run_trials(
 
     All signals are in the units of the loop's plant. Labelled signals, by the columns of a
     DataFrame or a coordinate of a DataArray, are matched by name. Of one channel, signals may have
-    the shape (time,).
+    the shape (time,). The times of reference and disturbance, an index or a coordinate, are
+    compared with Ts where they are floats, in s; no others are, dates among them.
 
     Parameters
     ----------
