@@ -22,7 +22,8 @@ class TemperatureControlLab:
 
     A heater that is off cannot cool; one that is on can be turned down. So :meth:`apply` takes
     percents above those at rest, :meth:`read` gives kelvins above the temperatures at rest, and
-    every trial begins there. Heaters are cut off at 0 and 100 %.
+    every trial begins there. These are the mean of the last minute before the first trial: the
+    emulator is 0.15 K below its rest then, after 300 s 3.5 K. Heaters are cut off at 0 and 100 %.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ class TemperatureControlLab:
     Examples
     --------
     >>> from rodlib import TemperatureControlLab
-    >>> board = TemperatureControlLab(rest=(30.0, 40.0), wait=60.0)  # doctest: +ELLIPSIS
+    >>> board = TemperatureControlLab(rest=(30.0, 40.0))  # doctest: +ELLIPSIS
     TCLab version ...
     Simulated TCLab
     >>> board.begin(1)
@@ -147,6 +148,7 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     >>> current_trial_loop(board).outputs
     ['T1', 'T2']
     """
+    lag, Ts = arguments.positive("lag", lag), arguments.sampling_period("Ts", Ts)
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
     A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])  # of H1, H2, T1, T2

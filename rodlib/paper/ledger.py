@@ -191,6 +191,8 @@ def summary(rows: pd.DataFrame) -> str:
         lines.append(f"- {KINDS[name]}: {agree} of {agree + differ} agree{which}\n")
     vague, unchecked = counts[IN_WORDS].drop("misprint").sum(), counts[UNCHECKED].sum()
     last = f"- too vague, or hanging on choices of ours: {vague}; cannot be checked: {unchecked}\n"
+    if other := sum(rows.verdict == OTHER):
+        last += f"- {OTHER}, and so not judged: {other}\n"
     return "".join([*lines, last])
 
 

@@ -43,7 +43,10 @@ class NormOptimal:
     -----
     The inverse is never formed. With x for the states of P and lambda for the multipliers of
     x(p) = A x(p-1) + B change(p-1), the conditions of optimality couple neighbouring samples alone:
-    a sparse matrix, block tridiagonal and the same in each row, factored once.
+    a sparse matrix, block tridiagonal and the same in each row, factored once. Of a transfer
+    function with modes that are slow beside Ts and close to each other, coefficients determine a
+    trial to few digits (three modes of 3, 4 and 5 Hz at 1 kHz: to a tenth): take its states,
+    ``control.sample_system(control.ss(plant), Ts)``.
 
     Examples
     --------

@@ -107,18 +107,18 @@ class RegularisedInverse:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channels)."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
-        return self.scale * of_trial.apply(signal / self.scale @ self.E.T)
+        return self.scale / self.b * of_trial.apply(signal / self.scale @ self.E.T)
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
-        return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale
+        return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale / self.b
 
 
 @lru_cache(maxsize=4)
 def _norm_optimal(base, samples):
-    """On trials of so many samples: factored once."""
-    return NormOptimal(base.P, base.b**2, samples)
+    """Of P / b, whose weight is one, on trials of so many samples: factored once."""
+    return NormOptimal(base.P * (1 / base.b), 1.0, samples)
 
 
 def isometry(copies, m) -> np.ndarray:

@@ -16,6 +16,8 @@ WORDS = {
     # what warns
     "unmeasured": "Q is {value:.4g} {place}, where P is not known: no filter bounds M by {limit:g} "
     "there; lower the cut-off of Q, or measure further",
+    "units": "outputs are in {place}, of which one counts as much as one of another: pass `scale`, "
+    "what is equally large in each",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
     "exp(-j omega t), then pass P.conj(), or in other units of omega?",
     "idle": "the filter leaves {value:.0%} of the error that counts",

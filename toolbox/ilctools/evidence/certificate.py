@@ -166,7 +166,10 @@ class Certificate:
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
-        found = [*problem.findings]
+        found, signals = [*problem.findings], response.signals
+        units = {signals.units.get(name, "") for name in signals.outputs or ()} - {""}
+        if len(units) > 1 and np.all(problem.scale == 1):
+            found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
         if response.models[0] is None:
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []

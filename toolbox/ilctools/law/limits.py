@@ -129,8 +129,10 @@ def _nearest(loop, actuators, u, weight, samples):
     """
     cost, dynamics, commands = _program(loop, weight, samples, len(u))
     margin = ROUNDING * actuators.width  # for the solver's rounding
-    low = (actuators.lowest + margin - u).ravel()
-    high = (actuators.highest - margin - u).ravel()
+    # The solver's tolerances are absolute: in units of what is beyond the limits, z costing one.
+    size = np.abs(actuators.follow(u) - u).max()
+    low = (actuators.lowest + margin - u).ravel() / size
+    high = (actuators.highest - margin - u).ravel() / size
     limited = np.isfinite(low) | np.isfinite(high)
 
     solver = piqp.SparseSolver()
@@ -145,11 +147,11 @@ def _nearest(loop, actuators, u, weight, samples):
             f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
             "the loop's signals of very different sizes?"
         )
-    return solver.result.x[-u.size :].reshape(u.shape)
+    return size * solver.result.x[-u.size :].reshape(u.shape)
 
 
 def _program(loop, weight, samples, active):
-    """Of all x, then of all z before the rest: the cost, the dynamics, the commands."""
+    """Of all x, then of all z before the rest: the cost / weight, the dynamics, the commands."""
     P, (K, N), m, n = loop.P, _feedback(loop), len(loop.outputs), loop.P.nstates
     A, B, CK = balanced(P, K)  # else feasible programs may fail
     now = sparse.eye_array(samples, format="csc")
@@ -161,6 +163,6 @@ def _program(loop, weight, samples, active):
         )
 
     y = rows(now, CK[:m], P.D)
-    of_z = np.repeat([0, weight], [samples * n, active * m])
+    of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
     dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, A, B)
-    return y.T @ y + sparse.diags_array(of_z), dynamics, rows(now, CK[m:], N)[: active * m]
+    return y.T @ y / weight + sparse.diags_array(of_z), dynamics, rows(now, CK[m:], N)[: active * m]

@@ -194,8 +194,8 @@ class Replay:
         reasons = []
         if self.simulated is None:
             reasons.append(
-                "simulation: it needs the law, a loop with P, and all trials from 1 on, not "
-                f"{self.numbers}"
+                "simulation: it needs the law, a loop whose P the log knows, and all trials from 1 "
+                f"on; there are {self.numbers}"
             )
         if self.predicted is None:
             reasons.append(

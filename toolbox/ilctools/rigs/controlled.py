@@ -259,7 +259,8 @@ class ControlledRig:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
                 raise StoppedError(
                     f"{what}, the limits of stop: if units, signs and wires are right, learn less, "
-                    "by a smaller gain or a lower cut-off, in another log; or go on with wider ones"
+                    "by a smaller gain or a lower cut-off, in another log; or go on with wider "
+                    "ones. In trial 1 without v it is the reference that leads there"
                 )
 
     def make_safe(self) -> None:

@@ -10,7 +10,7 @@ from ilctools import arguments
 from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
-from ilctools.filters import ZeroPhaseButterworth
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
@@ -63,7 +63,9 @@ def synthesise(
         Frequency response of the closed loop on `omega`, for any m: gain * exp(1j * phase), the
         gain not in dB, the phase in rad; also as python-control's frequency response data, of exp(j
         omega t): one of exp(-j omega t), whose phase leads, is to be conjugated first; or a
-        discrete-time model of it, state space or transfer function. Of a list the first is the
+        discrete-time model of it, state space or transfer function; of more than some four poles
+        sample the state space, ``control.sample_system(control.ss(plant), Ts)``, as coefficients
+        lose digits. Of a list the first is the
         nominal plant, whose convergence is made fast; the bounds hold for all of them. What
         :func:`measured_response` returns has its radius, in which the truth lies with a probability
         of 0.99; for another, pass both of ``P.on(omega, confidence)`` as P and `uncertainty`.
@@ -141,8 +143,8 @@ def synthesise(
         four at most. Of a diagonal filter B is that of P_ii.
     reach : int, optional
         B as a finite filter, of so many samples at most each way, as C, a PLC and trials without
-        reset need it. Default: of a model, B with the ends of a trial; of samples, as many as
-        change sigma_max(M) by less than 1e-4.
+        reset need it; without B, as if `order` is given, it does not count. Default: of a model, B
+        with the ends of a trial; of samples, as many as change sigma_max(M) by less than 1e-4.
 
     Returns
     -------
@@ -217,7 +219,7 @@ def without_Q(response, M_max, designed_with) -> Synthesis:
         if not norm >= 1:
             break
     text = f"Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
-    if Q.cutoff == lowest:
+    if Q.cutoff < 2 * lowest:
         warnings.warn(
             f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
             "differ: record longer or larger moves",
@@ -311,6 +313,8 @@ def _infeasible(problem) -> InfeasibleError:
     least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
     longer += "" if problem.base is None else ", or one without B (pass its order)"
+    if isinstance(problem.base, LearningFilter):
+        longer += f", or a `reach` above {problem.base.last}"
     raised = "M_max" if problem.L_max is None else "M_max or L_max"
     texts = "; ".join(problem.assumptions)
     return InfeasibleError(

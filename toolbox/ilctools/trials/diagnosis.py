@@ -273,6 +273,6 @@ WORDS = {
         "{predicted:.2f}, {bound:.2f} at most, and noise is less. Unless there was a new "
         "disturbance, the plant differs from the model: of the changes that this predicts, "
         "{came:.2g} in {output} came; is a sensor or an actuator at its limit, exchanged or "
-        "reversed? Else measure P (shake), or expect this rate"
+        "reversed? Else measure P (shake), or expect this rate, if it is below one"
     ),
 }

@@ -107,6 +107,15 @@ def test_it_is_the_nearest_of_all_that_can_be_followed(case):
     assert actuators.can(commands(z).value) and not np.any(following[active:])
 
 
+def test_signals_of_a_millionth_are_learned_as_those_of_one():
+    """The solver's tolerances are absolute."""
+    law, reference = CASES["not ours"]
+    limits = {name: (1e-6 * low, 1e-6 * high) for name, (low, high) in law.limits.items()}
+    pairs = (law, reference), (replace(law, limits=limits), 1e-6 * reference)
+    whole, small = (run_trials(each.loop, each, r, trials=3).e.values for each, r in pairs)
+    np.testing.assert_allclose(1e6 * small, whole, rtol=0, atol=1e-5 * np.abs(whole).max())
+
+
 @pytest.mark.parametrize("case", ["tanks", "not ours"])
 def test_where_nothing_is_cut_off_it_is_the_law(case):
     law, reference = CASES[case]
