@@ -167,7 +167,8 @@ class Certificate:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
         found, signals = [*problem.findings], response.signals
-        units = {signals.units.get(name, "") for name in signals.outputs or ()} - {""}
+        outputs = (signals.labels or [])[: problem.channels]
+        units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and np.all(problem.scale == 1):
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
         if response.models[0] is None:
