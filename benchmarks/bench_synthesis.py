@@ -17,7 +17,6 @@ from runner import publish, table
 
 from ilctools import synthesise, zero_phase_butterworth
 from rodlib import paper_choices, paper_loop
-from rodlib.specimens import Spread, draw, responses
 
 
 def paper_problem(frequencies=1000):
@@ -40,14 +39,6 @@ def structured(P, Q, omega, Ts, structure="diagonal", **changes):
 def of_the_model(P, Q, omega, Ts, structure):
     """With the plant as a model, so that what holds between the frequencies is proven."""
     return structured(paper_loop(), Q, omega, Ts, structure, everywhere=True)
-
-
-def for_rods(count=1000, frequencies=1000):
-    """From rods whose material is off by up to 30 % to the certified filter for all of them."""
-    P, Q, omega, Ts = paper_problem(frequencies)
-    spread = Spread(density=0.3, heat_capacity=0.3, heat_transfer=0.3, conductivity=0.3)
-    plants = responses(paper_loop(), [draw(spread, i) for i in range(count)], omega)
-    return structured([P, *plants], Q, omega, Ts, M_max=0.99)
 
 
 METHODS = {  # and how often each is called
@@ -87,14 +78,12 @@ def compared(structure, frequencies):
         yield [structure, f"{frequencies}", label, *numbers]
 
 
-def main(sizes=(250, 1000), rods=1000):
+def main(sizes=(250, 1000)):
     """The table goes to figures/performance.md."""
     structures = "diagonal", "full"
     rows = [row for n in sizes for structure in structures for row in compared(structure, n)]
-    time, memory = measured(for_rods, (rods, sizes[-1]), 3)
-    last = f"{rods} rods", f"{sizes[-1]}", "structured", f"{time:.2f}", "1", f"{memory:.0f}"
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    publish("performance", f"{table(TITLES, [*rows, last])}\n\nMeasured on: {machine}.")
+    publish("performance", f"{table(TITLES, rows)}\n\nMeasured on: {machine}.")
 
 
 if __name__ == "__main__":

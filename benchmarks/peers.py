@@ -1,10 +1,9 @@
-"""Our default against what a user would design by hand, and lists of plants against norm-optimal.
+"""Our default against what a user would design by hand.
 
-`make measure WHAT=peers` runs it and writes its tables to figures/performance.md. All know the same
+`make measure WHAT=peers` runs it and writes its table to figures/performance.md. All know the same
 P and have the same Q. The opponents are tuned on the nominal plant by what they are judged by, the
 RMS of the error in trials 2 to 10, with its reference and its very noise; ours is the default,
-`synthesise(P, Q)`, and knows neither. A list of plants is that of the rod, all of whose parameters
-are off.
+`synthesise(P, Q)`, and knows neither.
 """
 
 import re
@@ -14,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-import study
 from kinds import KINDS, bump
 from plants_of_peers import PLANTS, double_mass, their_reference
 from runner import publish, run, table
@@ -25,17 +23,15 @@ from scipy.stats.qmc import Sobol
 
 from ilctools import (
     ClosedLoop,
-    InfeasibleError,
     LearningFilter,
     NormOptimal,
-    convergence,
     current_trial_loop,
     frequency_response,
     synthesise,
     zero_phase_butterworth,
 )
 from ilctools.models import impulse_response
-from rodlib import heat_balance, responses
+from rodlib import heat_balance
 
 OFF = (1, -1, 2, -2)  # in ten percent
 TRIALS, NOISE = 10, 1e-3  # of the largest reference of each channel
@@ -48,9 +44,6 @@ BOARDS = {  # a heat balance, as notebook 13 fits it to each log
     "board-3s": (0.00361772, 0.00145475, 0.00512376, 0.00272151, 19.8653),
 }
 HUGE = 1e30  # of an error: enough
-DRAWS, RODS, OTHERS = 10, 300, 400
-FILTERS = ((0.2, None), (0.25, None), (0.3, None), (0.3, 3), (0.3, 21))  # b; order of K
-ROD_BAND = (1e-4, 0.02)  # rad/s
 
 
 @dataclass(frozen=True)
@@ -291,48 +284,5 @@ def table_of(rows):
     return "\n\n".join([table(titles, lines), *losses(rows), said])
 
 
-def of_rod(root):
-    """Of one draw of rods for the bounds and one to judge: mean of sigma_max(M), and its shares."""
-    loop, Q, omega = study.LOOP, study.Q, study.OMEGA
-    bounds, others = (
-        responses(loop, study.rods("8 mm", 2 * root + i, count), omega)
-        for i, count in ((1, RODS), (2, OTHERS))
-    )  # whose sensors are off by as much as all else
-    P, rows = loop.frequency_response(omega), []
-    choices = {"M_max": 0.97, "band": ROD_BAND}
-    for b, order in FILTERS:
-        L = NormOptimal(loop.P, b**2, 600)
-        if order is not None:
-            base = b / size_of(P, omega, Q)
-            try:
-                with warnings.catch_warnings(action="ignore"):
-                    L = synthesise([P, *bounds], Q, omega, 1.0, base=base, order=order, **choices)
-            except InfeasibleError:
-                rows.append([np.nan] * 4)
-                continue
-            L = L.filter
-        nominal = convergence(P, Q, L, omega).mean(ROD_BAND)
-        reached = convergence(others, Q, L, omega)
-        means = np.quantile(reached.mean(ROD_BAND), [0.5, 0.95])
-        rows.append([nominal, *means, 100 * np.mean(reached.gamma < 1)])
-    return rows
-
-
-def table_of_rod(draws):
-    """Ranges over the draws, in Markdown."""
-    lines = []
-    for (b, order), found in zip(FILTERS, np.moveaxis(draws, 0, 2), strict=True):
-        ends = zip(*(f(found, axis=1) for f in (np.nanmin, np.nanmax, np.nanmedian)), strict=True)
-        cells = [
-            f"{low:.{digits}f} to {high:.{digits}f}, {median:.{digits}f}"
-            for digits, (low, high, median) in zip((3, 3, 3, 2), ends, strict=True)
-        ]
-        what = f"B K, b = {b}, {order} taps" if order else f"norm-optimal, b = {b}"
-        lines.append([what, *cells, f"{np.isnan(found[0]).sum()}"])
-    titles = ["L", "nominal", "median", "95 %", "monotone (%)", "infeasible"]
-    return table(titles, lines)
-
-
 if __name__ == "__main__":
-    rows = list(run(row, [*KINDS, *PLANTS, *BOARDS]))
-    publish("peers", f"{table_of(rows)}\n\n{table_of_rod(list(run(of_rod, range(DRAWS))))}\n")
+    publish("peers", table_of(list(run(row, [*KINDS, *PLANTS, *BOARDS]))) + "\n")

@@ -90,11 +90,6 @@ def held_noise(rng, N, samples=3):
     return np.repeat(rng.standard_normal(N // samples + 1), samples)[:N]
 
 
-def binary(rng, N):
-    """Two levels, chosen anew in each sample."""
-    return rng.choice([-1.0, 1.0], N)
-
-
 def arch(N):
     """Up, down again, and a rest."""
     return np.sin(np.pi * np.minimum(np.arange(N) / (0.8 * N), 1)) ** 2
@@ -162,22 +157,12 @@ def learned(rng, trials=8, N=100, start=0.0, delay=0, make=lag, last=0):
     return several(w[-last:], y[-last:]), [[plant]]
 
 
-def open_loop(
-    rng,
-    make=lag,
-    excite=steps,
-    N=100,
-    noise=white,
-    start=0.0,
-    bent=np.array,
-    sensor=np.array,
-    drift=0,
-):
+def open_loop(rng, make=lag, excite=steps, N=100, noise=white, start=0.0, bent=np.array, drift=0):
     """A test of the plant by itself, of u as it is bent, while its gain rises by a share."""
     plant, u = make(rng), excite(rng, N)
     gain = np.linspace(1 - drift / 2, 1 + drift / 2, N)
     y = gain * answer(plant, bent(u), rng, start) + noise(rng, N)
-    return single(u, sensor(y)), [[plant]]
+    return single(u, y), [[plant]]
 
 
 def reference(rng, N=100):
@@ -265,9 +250,6 @@ KINDS = {
     "steps": open_loop,
     "noise, coloured noise": partial(noisy, noise=coloured),
     "steps, drift": partial(open_loop, noise=drifting),
-    "steps, quantised": partial(
-        open_loop, noise=partial(white, size=0.01), sensor=partial(np.round, decimals=1)
-    ),
     "steps, wrong start": partial(open_loop, start=1.0),
     "steps, short": partial(open_loop, N=40),
     "resonance, noise": partial(noisy, make=resonance),
@@ -291,8 +273,6 @@ KINDS = {
     "a long delay, steps": partial(open_loop, make=late, N=2000),
     "three lengths": of_three_lengths,
     **CURVED,
-    "PRBS": partial(open_loop, excite=binary, N=300),
-    "an exact record, 1e-4": partial(noisy, N=300, noise=partial(white, size=1e-4)),
     "outputs with a common noise": partial(two, common=0.8),
     "CD arm": partial(flexible, damped=0.02, noise=0.1),
 }

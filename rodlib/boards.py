@@ -134,7 +134,7 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
 
     From Q1, Q2 (%, held for Ts) to T1, T2 (K), all counted from a state of rest. The gains
-    are in K/s per %, loss and exchange in 1/s, the lag in s.
+    are in K/s per %, loss and exchange in 1/s, the lag and Ts in s: positive, which is not checked.
 
     See Also
     --------
@@ -148,7 +148,6 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     >>> current_trial_loop(board).outputs
     ['T1', 'T2']
     """
-    lag, Ts = arguments.positive("lag", lag), arguments.sampling_period("Ts", Ts)
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
     A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])  # of H1, H2, T1, T2

@@ -95,10 +95,10 @@ def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkey
 def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatch):
     """That all methods find the same filter, toolbox/tests/test_base.py tests."""
     monkeypatch.setattr(bench_synthesis, "measured", lambda function, arguments, calls: (calls, 7))
-    *rows, _, _ = page("performance", bench_synthesis.main, (60,), 2).splitlines()
-    assert rows[-1] == "| 2 rods | 60 | structured | 3.00 | 1 | 7 |" and len(rows) == 2 + 6 + 1
-    assert rows[3] == "| diagonal | 60 | structured, bounds at every frequency | 9.00 | 1 | 7 |"
-    assert 0 <= bench_synthesis.added_memory(bench_synthesis.for_rods, (1, 60)) < 500
+    *rows, _, _ = page("performance", bench_synthesis.main, (60,)).splitlines()
+    assert rows[-1] == "| full | 60 | CVXPY, batched | 2.00 | 0.222 | 7 |" and len(rows) == 2 + 6
+    problem = *bench_synthesis.paper_problem(60), "full"
+    assert 0 <= bench_synthesis.added_memory(bench_synthesis.of_the_model, problem) < 500
 
 
 def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():

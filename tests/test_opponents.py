@@ -10,9 +10,9 @@ import control
 import numpy as np
 import pytest
 from books import code
-from plants import LOOPS, as_matrix, frequencies, lifted, random_stable
+from plants import LOOPS, as_matrix, bump, frequencies, lifted, random_stable
 
-from ilctools import frequency_response, zero_phase_butterworth
+from ilctools import Law, NormOptimal, frequency_response, rms, run_trials, zero_phase_butterworth
 from rodlib import paper_loop
 
 # imports and functions of notebook 8, as they stand there
@@ -67,3 +67,16 @@ def test_the_least_level_is_that_of_interpolation(preview):
     opponents.h_infinity(P, Q, 1.001 * least, 1e-7, preview)
     with pytest.raises(ValueError, match=r"level = .* is not reached by any filter"):
         opponents.h_infinity(P, Q, 0.999 * least, 1e-7, preview)
+
+
+def test_rehearsed_trials_are_the_simulated_ones():
+    loop, Q = LOOPS["tanks"](), zero_phase_butterworth(2, 0.3, 2.0)
+    noise = 0.01 * np.random.default_rng(0).standard_normal((4, 900, 3))
+    task = {"reference": bump(900, [1.0, 2.0, 3.0]), "trials": 4, "noise": noise}
+    alone = run_trials(loop, Law(Q, None), **task).e.values
+    P = loop.frequency_response(2 * np.pi * np.fft.rfftfreq(1800, loop.Ts))
+    for L in (opponents.gradient(loop.P, 0.9), NormOptimal(loop.P, 0.01, 900)):
+        errors = opponents.rehearsed(P, Q, alone, 5, L)
+        run = run_trials(loop, Law(Q, L, rest=5), **task)
+        np.testing.assert_allclose(errors, run.e.values, atol=1e-6)
+        np.testing.assert_allclose(opponents.size(errors), rms(run.e).values, atol=1e-6)

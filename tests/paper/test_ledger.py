@@ -159,6 +159,8 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     assert {*rows.cell} == {cells("01-model")[-1].id}
     without = [entry.key for entry in published.claims().values() if not entry.criterion]
     assert rows[(rows.verdict == DIFFERS) & rows.key.isin(without)].key.tolist() == ["N[1,1]"]
+    rows.loc[0, "verdict"] = OTHER
+    assert ledger.summary(rows).endswith(f"{OTHER}, and so not judged: 1\n")
     readme = (root / "README.md").read_text()
     assert readme.startswith("before\n<!-- ledger -->\n- printed numbers: ")
     assert readme.endswith("-->\nafter\n") and "`N[1,1]`" in readme

@@ -29,6 +29,7 @@ from ilctools import (
     run_trials,
     save_law,
     shake,
+    state_sequence,
     synthesise,
     transfer,
     trial_norm,
@@ -112,6 +113,7 @@ REFUSED = {  # what the error says, and a call
     "hours = 1.2 is too short .* lowest = 0.0262": lambda: multisine(
         TANKS, 0.01, 1.0, [1, 1, 1], 1.2
     ),
+    "forcing has shape": lambda: state_sequence(np.eye(2), np.ones((4, 1)), [0.0, 0.0]),
     "(?s:.*)infeasible(?s:.*)units, signs and the order": lambda: synthesise(
         [LAG, 1000 * LAG], LAW.Q, order=3, L_max=None
     ),
@@ -247,6 +249,12 @@ def test_what_holds_a_model_can_be_sent_to_another_process():
     assert other.input_labels == thing.input_labels
 
 
+def test_designs_are_compared_without_an_error():
+    design = synthesise(LOOP, LAW.Q)
+    assert design == design and design != synthesise(LOOP, LAW.Q)
+    assert len({design, design}) == 1
+
+
 def test_a_reference_with_times_of_another_period_is_refused():
     times = np.arange(60) * 0.5
     table = pd.DataFrame({"x": MOVE}, index=times)
@@ -277,6 +285,11 @@ def test_labelled_columns_are_matched_by_name():
     d, channels = d[names[::-1]], xr.DataArray(frame, dims=["time", "channel"])
     for labelled in (frame, channels):
         assert run_trials(PAPER, LAW_OF_TWO, labelled, d, 2, v=0 * frame).identical(plain)
+
+
+def test_the_size_of_whole_numbers_is_not_wrapped():
+    numbers = xr.DataArray(np.full((9, 1), 300, np.int16), dims=("time", "channel"))
+    assert rms(numbers) == rms(xr.Dataset({"reference": numbers, "y": 2 * numbers})) == 300
 
 
 def test_one_channel_needs_no_axis():

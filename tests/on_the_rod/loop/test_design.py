@@ -82,6 +82,13 @@ def test_with_sizes_the_loop_depends_on_neither_units_nor_coordinates(plant, uni
     np.testing.assert_allclose(response / scale, expected / scale, rtol=0, atol=1e-9)
 
 
+def test_slow_tanks_have_a_loop_without_sizes():
+    """Four of 100 s, as a transfer function, in whose own coordinates rounding refused it."""
+    tanks = control.tf([1], np.poly([-0.01] * 4) * 1e8)
+    loop = current_trial_loop(control.sample_system(tanks, 1.0))
+    assert np.abs(loop.closed.poles()).max() < 0.995 and loop.P(1.0) == pytest.approx(1)
+
+
 def test_a_long_delay_is_thirty_states_more():
     loop = current_trial_loop(furnace(30), sizes={"valve": 0.1})
     assert loop.plant.nstates == 31 and not np.any(loop.plant.D)

@@ -201,10 +201,11 @@ class Certificate:
         at = np.append(near, peak.omega).min()
         where = ", proven" if self.proven else f" {_span(problem.omega)}, estimated"
         samples, norm = self.trial
-        gains = [f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s"]
-        if problem.response.models[0] is None:  # whose phase may be in degrees
-            gains[0] += f", where P lags by {problem.delay} samples"
-        gains.append(f"sigma_max(L) {self.all_L:.3g}")
+        gains = [
+            f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s",
+            f"where P lags by {problem.delay} samples",
+            f"sigma_max(L) {self.all_L:.3g}",
+        ]
         gains += [f"norm of a trial of {samples} samples {norm:.3g}"] if samples else []
         assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
         lines = [
@@ -286,8 +287,6 @@ class Certificate:
         size = f"order = {problem.order}"
         if problem.base is not None:
             size += f" of K in L = B K, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
-        elif problem.order < problem.delay:
-            size += f" (P lags by {problem.delay} samples at the cut-off)"
         return f"limited by {', '.join([*limits, size])}"
 
 

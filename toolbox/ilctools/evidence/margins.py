@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.optimize import brentq
 
 from ilctools.evidence.robustness import within_radius
@@ -59,8 +59,9 @@ def margins(problem: Problem, L) -> Margins:
     modes = [model.poles() for model in response.models if model is not None]
     grid = np.clip(phase_grid(modes, STEP) / problem.Ts, *ends) if modes else ends
     omega = np.union1d(problem.omega, grid)
-    known = [response.anywhere(k, omega) for k in range(len(response.models))]
-    P_at = CubicSpline(omega, [P for P, _ in known], axis=1)
+    known = (response.anywhere(k, omega) for k in range(len(response.models)))
+    plants, radii = zip(*known, strict=True)
+    P_at, radii_at = CubicSpline(omega, plants, axis=1), make_interp_spline(omega, radii, 1, axis=1)
     Q_at, L_at = (CubicSpline(omega, X.frequency_response(omega)) for X in (problem.lowpass, L))
     unit = np.linalg.norm(P_at(np.clip(cutoff, *ends))[0], 2) or 1.0
 
@@ -69,9 +70,8 @@ def margins(problem: Problem, L) -> Margins:
         at = at[(slower * at <= ends[1]) | (not response.sampled)]
         turned = gain * np.exp(-1j * at * delay * problem.Ts)[:, None, None]
         there = np.clip(slower * at, *ends)
-        Q, L, plants = Q_at(at), L_at(at), turned * P_at(there)
-        radii = [gain * np.interp(there, omega, own) + radius * unit for _, own in known]
-        regions = zip(plants, radii, strict=True)
+        Q, L, radii = Q_at(at), L_at(at), gain * radii_at(there) + radius * unit
+        regions = zip(turned * P_at(there), radii, strict=True)
         return max(within_radius(P, Q, L, r, 1.0).max() for P, r in regions)
 
     limit, samples = partial(_limit, sigma), TURN / (cutoff * problem.Ts)

@@ -182,7 +182,7 @@ def _clock(frame, trial, time, unit, Ts):
         return number, Ts * number.groupby(number).cumcount()
     column, titled = _column(frame, "time", time)
     ending = ENDING.search(str(column.name))
-    unit = unit or titled or (ending[1] if ending else "s")
+    unit = unit or titled or (ending[1].lower() if ending else "s")
     if column.dtype.kind == "M":  # dates
         column, unit = (column - column.iloc[0]).dt.total_seconds(), "s"
     moment = seconds(unit) * numbers_in(column)

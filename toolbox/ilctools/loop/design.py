@@ -81,7 +81,7 @@ def current_trial_loop(
     m = plant.noutputs
     weights = _weights(plant, sizes, Qs, Rs, Qo, Ro)
     A, B, C = plant.A, plant.B[:, :m], plant.C
-    Ks, KL, N = _gains(A, B, C, *weights, _even_coordinates(A, B, C))
+    Ks, KL, N = _gains(A, B, C, *weights)
     return CurrentTrialLoop(plant, Ks, KL, N, units)
 
 
@@ -130,9 +130,9 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
         yield weight
 
 
-def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
-    """K_s of (26), K_L of (29) and N, computed in the coordinates of the state that are given."""
-    (n, m), (T, inverse) = B.shape, coordinates
+def _gains(A, B, C, Qs, Rs, Qo, Ro):
+    """K_s of (26), K_L of (29) and N, computed in even coordinates of the state."""
+    (n, m), (T, inverse) = B.shape, _even_coordinates(A, B, C)
     A, B, C = inverse @ A @ T, inverse @ B, C @ T
     Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
     Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T

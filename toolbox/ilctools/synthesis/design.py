@@ -10,7 +10,7 @@ from ilctools import arguments
 from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
@@ -219,7 +219,7 @@ def without_Q(response, M_max, designed_with) -> Synthesis:
         if not norm >= 1:
             break
     text = f"Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
-    if Q.cutoff < 2 * lowest:
+    if Q.cutoff == lowest:
         warnings.warn(
             f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
             "differ: record longer or larger moves",
@@ -312,9 +312,7 @@ def _infeasible(problem) -> InfeasibleError:
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
-    longer += "" if problem.base is None else ", or one without B (pass its order)"
-    if isinstance(problem.base, LearningFilter):
-        longer += f", or a `reach` above {problem.base.last}"
+    longer += "" if problem.base is None else ", a larger `reach`, or none of B (pass its order)"
     raised = "M_max" if problem.L_max is None else "M_max or L_max"
     texts = "; ".join(problem.assumptions)
     return InfeasibleError(

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 from plants import LOOPS, axes, bump
 from problems import posed
+from scipy.integrate import trapezoid
 
 from ilctools import ClosedLoop, rms, run_trials, synthesise, zero_phase_butterworth
 from ilctools.law.law import Law
@@ -16,6 +17,13 @@ def first_error_of(loop, reference):
     """Of a simulated trial."""
     law = Law(zero_phase_butterworth(1, 1 / loop.Ts, loop.Ts), None)
     return run_trials(loop, law, reference, trials=1).e.values[0]
+
+
+def power_of(problem, low=0.0, high=np.pi):
+    """Sum of the squares of the first error, between two angles, by Parseval."""
+    angles, E = problem.objective.first_error
+    near = (angles >= low) & (angles <= high)
+    return trapezoid((np.abs(E[near]) ** 2).sum(axis=1), angles[near]) / np.pi
 
 
 @pytest.mark.parametrize("kind", [*LOOPS, "axes"])
@@ -30,6 +38,7 @@ def test_weights_are_those_of_a_simulated_trial(kind):
         problem = posed(loop, Q, angles / Ts, reference=reference)
         e = first_error_of(loop, reference)
         e = np.pad(e, [(0, 30), (0, 0)], mode="linear_ramp")
+        assert power_of(problem) == pytest.approx((e**2).sum(), rel=0.02)
         E = np.polynomial.polynomial.polyval(np.exp(-1j * angles), e)
         middles = (angles[1:] + angles[:-1]) / 2
         widths = np.diff([0, *middles, np.pi])
@@ -45,6 +54,8 @@ def test_a_narrow_line_between_the_frequencies_is_not_missed():
     Q, omega = zero_phase_butterworth(2, 5.0, 0.1), np.linspace(0.5, 30, 60)
     sine = np.sin(2.75 * 0.1 * np.arange(2285))[:, None] * [1.0, 0.0]
     problem = posed(loop, Q, omega, reference=sine)
+    expected = (first_error_of(loop, sine) ** 2).sum()
+    assert power_of(problem, 0.225, 0.325) == pytest.approx(expected, rel=0.1)
     assert problem.objective.weights[4:6].sum() > 0.7
 
 
