@@ -288,7 +288,7 @@ def test_labelled_columns_are_matched_by_name():
 
 
 def test_the_size_of_whole_numbers_is_not_wrapped():
-    numbers = xr.DataArray(np.full((9, 1), 300, np.int16), dims=("time", "channel"))
+    numbers = xr.DataArray(np.full((9, 1), 300, np.uint16), dims=("time", "channel"))
     assert rms(numbers) == rms(xr.Dataset({"reference": numbers, "y": 2 * numbers})) == 300
 
 
