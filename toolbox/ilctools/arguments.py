@@ -16,8 +16,11 @@ from typing import get_args
 import control
 import numpy as np
 
+from ilctools import labels
+
 CIRCLE = 1 - 1e-9  # modulus from which on a pole counts as on the unit circle: no loop moved it
 PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
+TINIEST = 1e-130  # of numbers whose squares, and sums of them, stay within doubles, down to 1e-308
 LATE = 1e-3  # of Ts, of the Nyquist frequency: by how much times and frequencies may be rounded
 ROLES = {  # coordinates that name signals, and what a log calls them all
     "output": "outputs",
@@ -116,7 +119,11 @@ def names_of(signals) -> list[str] | None:
 
 
 def in_columns(name, signal, shape, names):
-    """An array with a column for each name, by names if it has some; one needs no second axis."""
+    """An array with a column for each name, by names if it has some; one needs no second axis.
+
+    Of a DataArray the time comes first, wherever it stands.
+    """
+    signal = labels.time_first(signal)
     own, signal = names_of(signal), array(name, signal, (...,))
     if own is not None and own != [*names]:
         if sorted(own) != sorted(names):
@@ -132,13 +139,16 @@ def in_columns(name, signal, shape, names):
 
 def labelled_as(value, signal, names):
     """An array, a column for each of `names`, with the shape, labels and order of `value`."""
+    value, asked = labels.time_first(value), value
     own = names_of(value)
     if own is None:
-        return signal.reshape(np.shape(value))
+        signal = signal.reshape(np.shape(value))
+        moved = getattr(value, "dims", None) != getattr(asked, "dims", None)
+        return value.copy(data=signal).transpose(*asked.dims).values if moved else signal
     signal = signal[..., [names.index(label) for label in own]]
     if hasattr(value, "columns"):
         return type(value)(signal, value.index, value.columns)
-    return value.copy(data=signal.reshape(value.shape))
+    return value.copy(data=signal.reshape(value.shape)).transpose(*asked.dims)
 
 
 def check_times(name: str, times, Ts: float) -> None:
@@ -213,6 +223,7 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
     _check_shape(name, plain.shape, tuple(shape))
+    _check_dimensions(name, getattr(value, "dims", ()), tuple(shape))
     result = np.asarray(np.ma.filled(plain.astype(dtype), np.nan))  # what is masked is missing
     finite = np.isfinite(result)
     if not finite.all():
@@ -235,6 +246,19 @@ def _check_shape(name, sizes, shape):
     raise ValueError(f"{name} has shape {sizes}, but must have shape ({words})")
 
 
+def _check_dimensions(name, dimensions, shape):
+    """Refuse a labelled array one of whose dimensions stands where another one must."""
+    wanted = shape[1:] if shape and shape[0] is Ellipsis else shape
+    for dimension in {*wanted} & {*dimensions}:
+        from_the_end = len(wanted) - wanted.index(dimension)
+        if [*dimensions].index(dimension) != len(dimensions) - from_the_end:
+            words = ", ".join(map(str, wanted))
+            raise ValueError(
+                f"{name} has the dimensions {[*dimensions]}, but they must stand in the order "
+                f"({words}): transpose it"
+            )
+
+
 def _fits(sizes, wanted):
     """Whether an array has the sizes wanted; those with the same name are equal."""
     named = {}
@@ -242,6 +266,16 @@ def _fits(sizes, wanted):
         have > 0 and have == named.setdefault(want, have) if isinstance(want, str) else have == want
         for want, have in zip(wanted, sizes, strict=True)
     )
+
+
+def representable(name: str, values, remedy: str) -> None:
+    """Refuse numbers whose squares and products leave the range of doubles."""
+    size = np.abs(values).max(initial=0)
+    if not (size == 0 or TINIEST <= size <= 1 / TINIEST):
+        raise ValueError(
+            f"{name} has values of {size:.3g} at most, whose squares are no doubles: pass it "
+            f"{remedy}"
+        )
 
 
 def square(name: str, inputs: int, outputs: int) -> None:

@@ -21,13 +21,14 @@ from scipy.fft import ifft, next_fast_len
 from scipy.signal import BadCoefficients, butter, oaconvolve, sosfilt
 from scipy.special import i0
 
-from ilctools import arguments
+from ilctools import arguments, labels
 
 ENDS = {  # whether the first sample stands still before the trial, and the last one after it
     "zero": (False, False),
     "hold": (True, True),
     "hold-last": (False, True),
 }
+AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")  # of the plant: L makes inputs of errors
 LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time_shifts`
 WIDTH = 14  # points of the grid that `transform` takes for a frequency: one more, a tenth the error
 FARTHEST = 10**6  # samples that a filter may look ahead or back
@@ -231,7 +232,8 @@ class LearningFilter:
     first: int = 1
 
     def __post_init__(self):
-        c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
+        c = labels.matched("coefficients", self.coefficients, dict.fromkeys(AXES_OF_L))
+        c = arguments.array("coefficients", c, ("m", "m", "order"))
         Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))
         first = arguments.whole("first", self.first, -FARTHEST, FARTHEST)

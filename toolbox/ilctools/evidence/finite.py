@@ -15,6 +15,9 @@ from ilctools.signals import check_match
 SETTLED = 0.02  # of a disturbance
 SHORTEST, LONGEST = 50, 1000  # samples of a trial; longer ones of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
+# Rounds of it, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows, which takes
+# as long. Many directions that grow alike, as those that a long delay leaves alone, need it.
+ROUNDS, DENSE = 60, 1000
 
 
 def trial_operators(
@@ -120,7 +123,7 @@ def trial_norm(
     norm : float
         Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. Below one for trials = 1, v converges
         monotonically. Lanczos approaches it from below, or a RuntimeError says that it does not
-        converge; short trials have an SVD.
+        converge; short trials have an SVD, and those of up to 1000 values where Lanczos needs long.
     before, after : ndarray, shape (samples, m)
         The unit v_k - v_inf that is amplified most, and what becomes of it.
 
@@ -145,20 +148,35 @@ def trial_norm(
         before = np.linalg.svd(T @ np.eye(size))[2][0]
     else:
         start = np.random.default_rng(0).standard_normal(size)  # the same in every run
-        # ArpackNoConvergence is a RuntimeError
-        _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
-        before = vectors[:, 0]
+        rounds = ROUNDS if size <= DENSE else None
+        try:
+            _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS, maxiter=rounds)
+            before = vectors[:, 0]
+        except sparse.ArpackNoConvergence:  # a RuntimeError
+            if size > DENSE:
+                raise
+            before = np.linalg.svd(T @ np.eye(size))[2][0]
     after = T.matvec(before)
     norm = float(np.linalg.norm(after))
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
 def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float]:
-    """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm."""
+    """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm.
+
+    At least twice as long as the plants delay, or no trial would show what v does.
+    """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
-    samples = int(min(10 * settled + SHORTEST, LONGEST / L.channels))
+    settled = max(10 * settled, *(2 * _delay(P) for P in plants))
+    samples = int(min(settled + SHORTEST, LONGEST / L.channels))
     return samples, max(trial_norm(P, Q, L, samples)[0] for P in plants)
+
+
+def _delay(P):
+    """Samples after which a model answers at the latest, in each of its entries that answers."""
+    answers = impulse_response(P, LONGEST) != 0
+    return answers.argmax(axis=0).max()
 
 
 def _on_trial(f, samples, m):

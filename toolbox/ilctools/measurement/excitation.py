@@ -9,6 +9,7 @@ import xarray as xr
 from scipy.fft import next_fast_len
 
 from ilctools import arguments
+from ilctools.labels import by_channel
 from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
@@ -132,6 +133,7 @@ def multisine(
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
     amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
+    amplitude = by_channel("amplitude", amplitude, loop.outputs, loop.references)
     amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
     amplitude = [arguments.positive("amplitude", value) for value in amplitude]
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)

@@ -8,6 +8,7 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
+from ilctools.labels import INPUT, matched
 from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET, limits_of, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
@@ -49,7 +50,8 @@ class Record:
         remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
         check_moved(u, inputs, f"{first}.{source}", remedy)
         check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
-        delay, sizes = _samples_of(delay, len(inputs)), (_sizes(u), _sizes(y))
+        delay = _samples_of(matched("delay", delay, {INPUT: inputs}), len(inputs))
+        sizes = _sizes(u), _sizes(y)
         alike = {}  # logs of one length are one: in all of them the same disturbance may repeat
         for (name, log), x, z in zip(named.items(), u, y, strict=True):
             trials = Trials(x / sizes[0], z / sizes[1], _titles(log, len(z), name))

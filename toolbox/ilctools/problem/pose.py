@@ -13,6 +13,7 @@ from ilctools.response.response import ROUNDING, Response
 from ilctools.singular_values import largest_singular_values
 
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
+SINGULAR = 1e-12  # of the largest singular value: what is less is rounding
 LONGEST = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
 
 
@@ -39,6 +40,7 @@ def pose(
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     structure = arguments.choice("structure", structure, ["diagonal", "full"])
+    reach = None if reach is None else arguments.whole("reach", reach, 1)
     order = _order(response, cutoff, order, base, chosen)
     Q = lowpass.frequency_response(response.omega)
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
@@ -64,7 +66,7 @@ def _base(response, lowpass, structure, share, L_max, reach):
         below = response.omega <= max(lowpass.cutoff, response.omega[0])
         b = share * largest_singular_values(response.P[0, below]).max()
         models, why = response.models[:1], f"{share:g} of its largest gain"
-    exact = reach is None and None not in models
+    exact = reach is None and None not in models and any(P.nstates for P in models)
     if exact and pooled:
         exact = sum(P.nstates for P in models) <= STATES
     base = base_of_models(models, b, structure) if exact else None
@@ -122,6 +124,7 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
         m = len(response.scale)
         names = response.signals.labels[:m] or arguments.names_of(reference) or range(m)
         r = arguments.in_columns("reference", reference, ("time", m), names) / response.scale
+        arguments.representable("reference", r, "in another unit")
         error = first_error(response, r)
         weights = error_weights(error, response.angles)
     largest = np.abs(Q[weights > 0] if summed else Q).max()
@@ -177,14 +180,26 @@ def _smallest_singular_values(response, cutoff):
     omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
     # in any direction, or altogether against what P passes elsewhere
     size = np.where(omega <= cutoff, singular_values.max(), singular_values[:, 0])
-    singular = np.flatnonzero(singular_values[:, -1] <= 1e-12 * size)
+    singular = np.flatnonzero(singular_values[:, -1] <= SINGULAR * size)
     if singular.size:
-        first = singular[0]
-        raise ValueError(
-            f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
-            f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there. Does each "
-            "output respond to an input, and each input act on an output? Channels in units that "
-            "differ by millions need scale. If P passes nothing there, M is |Q| for any L: leave "
-            "such frequencies out"
-        )
+        raise _singular("P", omega[singular[0]], singular_values[singular[0], -1])
     return singular_values[:, -1]
+
+
+def refuse_singular(response):
+    """Refuse plants that are singular at each frequency: there is no cut-off to choose for them."""
+    for k, P in enumerate(response.P):
+        values = np.linalg.svd(P, compute_uv=False)
+        if np.all(values[:, -1] <= SINGULAR * values.max()):
+            name = "P" if len(response.P) == 1 else f"P[{k}]"
+            raise _singular(name, response.omega[0], values[0, -1])
+
+
+def _singular(name, omega, value):
+    """The error of a plant that is singular at a frequency."""
+    return ValueError(
+        f"{name} is singular at omega = {omega:.6g} rad/s (smallest singular value {value:.3g}): "
+        "P^-1 in (40) does not exist there. Does each output respond to an input, and each input "
+        "act on an output? Channels in units that differ by millions need scale. If P passes "
+        "nothing there, M is |Q| for any L: leave such frequencies out"
+    )

@@ -7,7 +7,7 @@ from numbers import Real
 import control
 import numpy as np
 
-from ilctools import arguments
+from ilctools import arguments, labels
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
@@ -18,11 +18,17 @@ from ilctools.signals import Signals, check_match
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
 LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
+MOST_APART = 1e100  # of a scale: products with it stay doubles
 PRINTED = 1e-6  # relative, of a table: digits of its last frequency, and of P, which is real there
 
 
-def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
-    """What is known of P, which must match Q, if there is one; arguments of `synthesise`."""
+def response_of(
+    P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None, names=None
+) -> Response:
+    """What is known of P, which must match Q, if there is one; arguments of `synthesise`.
+
+    `names`, of outputs and then of inputs: the order of a design, in which labelled arrays are put.
+    """
     plants = named(P)
     if isinstance(Q, control.LTI | Real):
         raise ValueError(
@@ -37,8 +43,16 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
         Ts = _period(Q, *plants.values())
     Ts = arguments.sampling_period("Ts", Ts)
     if omega is None:
+        labelled = plants | {"Q": Q, "uncertainty": uncertainty}
+        own = (labels.frequencies_of(name, value) for name, value in labelled.items())
+        omega = next((known for known in own if known is not None), None)
+    else:
+        labels.refuse_other_unit("omega", str(getattr(omega, "attrs", {}).get("units", "")))
+    if omega is None:
         omega = frequencies(plants.values(), Ts, Q)
     omega = arguments.increasing_frequencies("omega", omega, Ts)
+    uncertainty = labels.matched("uncertainty", uncertainty, {labels.FREQUENCY: omega})
+    plants = _matched(plants, omega, names)
     known, assumptions = plants, ()
     if isinstance(P, Measured):
         if uncertainty is not None:
@@ -54,12 +68,17 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
     check_match(**signals, Q=Q, grid=Signals(Ts))
     own = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
     _refuse_other_units(*own, Ts)
+    nominal, *_ = signals.values()
+    outputs, inputs = nominal.channels_of(responses.shape[-1])
+    if outputs is None and (outputs := labels.channels_of(scale, labels.OUTPUT)) is not None:
+        nominal = replace(nominal, labels=[*outputs, *(inputs or ())])
+    scale = labels.by_channel("scale", scale, outputs, inputs)
     models, responses, scale = _in_units(scale, models, responses)
+    arguments.representable("P", responses, "in units in which its gain is nearer to one")
     if uncertainty is not None:
         if np.ndim(uncertainty) == 0:
             assumptions = (f"the radius is {uncertainty} sigma_max(P), at each frequency",)
         uncertainty = radius_of(uncertainty, responses[0])
-    nominal, *_ = signals.values()
     return Response(
         omega=omega,
         P=responses,
@@ -75,6 +94,8 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
 def named(P) -> dict:
     """The plants by their names in messages, the nominal one first, from one plant or several."""
     several = isinstance(P, np.ndarray) and P.ndim == 4
+    if labels.is_labelled(P) and labels.PLANT in getattr(P, "dims", ()):
+        P, several = [P.isel({labels.PLANT: k}) for k in range(P.sizes[labels.PLANT])], True
     if isinstance(P, list | tuple):
         measured = [isinstance(p, Measured) for p in P]
         if any(measured):
@@ -83,6 +104,11 @@ def named(P) -> dict:
                 "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
             )
         several = not P or any(isinstance(p, Loop | control.LTI) or _axes(p) == 3 for p in P)
+        if not several and any(map(labels.is_labelled, P)):
+            raise ValueError(
+                "P is a list of labelled arrays of one frequency each: pass one DataArray with the "
+                f"dimensions {labels.FREQUENCY}, {labels.OUTPUT}, {labels.INPUT}"
+            )
     if several and not len(P):
         raise ValueError(
             f"P = {reprlib.repr(P)} holds no plant: pass one or more, the nominal one first"
@@ -93,6 +119,40 @@ def named(P) -> dict:
         if not isinstance(plant, Loop | control.LTI | Measured):
             arguments.array(name, plant, ("omega", "outputs", "inputs"), complex)
     return plants
+
+
+def _matched(plants, omega, names):
+    """The plants, with labelled arrays as python-control's data, their channels in one order."""
+    tables, known = {}, names
+    for name, plant in plants.items():
+        if labels.is_labelled(plant):
+            plant = _table(name, plant, omega, *(known or (None, None)))
+        tables[name] = plant
+        own = plant.names if isinstance(plant, Measured) else _names_of(plant)
+        known = known or (own if any(own) else None)
+    return tables
+
+
+def _table(name, P, omega, outputs, inputs):
+    """A labelled array as frequency response data, in the order of some names, if there are any."""
+    axes = (labels.FREQUENCY, labels.OUTPUT, labels.INPUT)
+    if inputs is not None and (own := labels.channels_of(P, labels.INPUT)) is not None:
+        # v may be named after the references to which it is added
+        inputs = outputs if sorted(own) == sorted(outputs or ()) else inputs
+    outputs = outputs or labels.channels_of(P, labels.OUTPUT)
+    inputs = labels.paired(outputs, inputs or labels.channels_of(P, labels.INPUT))
+    values = labels.matched(name, P, dict(zip(axes, (omega, outputs, inputs), strict=True)))
+    values = arguments.array(name, values, (len(omega), "outputs", "inputs"), complex)
+    given = {"outputs": outputs, "inputs": inputs}
+    given = {kind: own for kind, own in given.items() if own is not None}
+    return control.frd(np.moveaxis(values, 0, -1), omega, True, **given)
+
+
+def _names_of(plant):
+    """Names that somebody has given to the outputs and to the inputs of a plant."""
+    outputs = getattr(plant, "output_labels", getattr(plant, "outputs", None))
+    inputs = getattr(plant, "input_labels", getattr(plant, "references", None))
+    return labels.given_names(outputs), labels.given_names(inputs)
 
 
 def _axes(value):
@@ -159,6 +219,11 @@ def _in_units(scale, models, responses):
     scale = arguments.array("scale", scale, (m,))
     if scale.min() <= 0:
         raise ValueError(f"scale = {scale.tolist()} must be positive numbers")
+    if scale.max() > MOST_APART * scale.min():
+        raise ValueError(
+            f"scale = {scale.tolist()} spans more than {MOST_APART:g}, in which rounding hides the "
+            "small channels: pass what is equally large in each"
+        )
     S, R = np.diag(scale), np.diag(1 / scale)
     models = [
         model and control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)

@@ -12,7 +12,7 @@ from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.defaults import CHOOSE
-from ilctools.problem.pose import pose
+from ilctools.problem.pose import pose, refuse_singular
 from ilctools.problem.problem import Problem, Solution
 from ilctools.response.door import LOWEST, response_of
 from ilctools.singular_values import largest_singular_values, tied
@@ -210,6 +210,7 @@ def synthesise(
 
 def without_Q(response, M_max, designed_with) -> Synthesis:
     """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
+    refuse_singular(response)
     Ts, positive = response.Ts, response.omega[response.omega > 0]
     lowest, highest = max(LOWEST * np.pi / Ts, positive[0]), reached(response, M_max)
     for cutoff in (highest, highest / 2):

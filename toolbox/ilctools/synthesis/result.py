@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ilctools import labels
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
@@ -93,9 +94,14 @@ class Synthesis:
         """
         design = self.problem
         if omega is None:
+            first = P[0] if isinstance(P, list | tuple) and len(P) else P
+            omega = labels.frequencies_of("P", first)
+        if omega is None:
             omega = getattr(P, "omega", self.omega)
         scale, Q = design.scale if np.any(design.scale != 1) else None, design.lowpass
-        response = response_of(P, omega, design.Ts, uncertainty, scale, Q)
+        names = design.response.signals.channels_of(design.channels)
+        names = names if any(names) else None
+        response = response_of(P, omega, design.Ts, uncertainty, scale, Q, names)
         problem = pose(response, Q, order=1, L_max=None, objective="peak")
         if problem.channels != design.channels:
             raise ValueError(
