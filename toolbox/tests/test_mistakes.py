@@ -82,6 +82,21 @@ REFUSED = {  # what the error says, and a call
     ),
     "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
     "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
+    # numbers that no plant has
+    "reach = 'x' must be a whole number": lambda: synthesise(MODEL, Q, reach="x"),
+    "reach = 0 must be a whole number": lambda: synthesise(MODEL, Q, order=5, reach=0),
+    r"P is singular at omega = 0.000314159 .* each output respond": lambda: synthesise(0 * MODEL),
+    r"P\[1\] is singular at": lambda: synthesise([MODEL, 0 * MODEL]),
+    r"reference has values of 1e\+300 .*another unit": lambda: synthesise(
+        MODEL, Q, reference=np.full(60, 1e300)
+    ),
+    r"P has values of 2.55e-300 at most, .*nearer to one": lambda: synthesise(
+        1e-300 * P, Q, OMEGA, order=5, base=None
+    ),
+    r"scale = \[1e\+300, 1e-300\] spans more than": lambda: synthesise(
+        OF_AXES.problem.response.models[0], OF_AXES.Q, scale=[1e300, 1e-300]
+    ),
+    "P.dt = None must be Ts = 1.0": lambda: synthesise(control.ss([], [], [], 2.0), Ts=1.0),
     # what is no plant, no filter, no log
     "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
     "Q = Trans.* one direction only: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),

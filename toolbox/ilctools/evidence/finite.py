@@ -15,8 +15,8 @@ from ilctools.signals import check_match
 SETTLED = 0.02  # of a disturbance
 SHORTEST, LONGEST = 50, 1000  # samples of a trial; longer ones of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
-# Rounds of it, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows, which takes
-# as long. Many directions that grow alike, as those that a long delay leaves alone, need it.
+# Rounds of it, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows: it takes
+# no longer. Many directions that grow alike, as those that a long delay leaves alone, need it.
 ROUNDS, DENSE = 60, 1000
 
 
