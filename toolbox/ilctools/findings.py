@@ -20,6 +20,17 @@ WORDS = {
     "what is equally large in each",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
     "exp(-j omega t), then pass P.conj(), or in other units of omega?",
+    "rest": "P differs from the identity by {value:.2g} {place}, where this loop "
+    "integrates and has it: does each sensor answer, do the actuators stay within their limits, and "
+    "is it this controller that runs?",
+    "hertz": "{place}, just below 1 / (2 Ts) = {value:.6g}, as a table in Hz does: if it is in Hz, "
+    "pass 2 pi omega, as omega is in rad/s",
+    "sign": "P is near {value:g} {place}, where a loop that tracks its reference has 1: is the "
+    "sign of P reversed?",
+    "sensitivity": "P passes {value:.2g} {place} and is one at the highest frequencies, as the "
+    "sensitivity I - P is: P is the response from the reference, or v, to the output",
+    "inverse": "P is near one at the lowest frequency, and its gain grows to {value:.3g} {place}, "
+    "where its phase leads: is it the inverse of P?",
     "idle": "the filter leaves {value:.0%} of the error that counts",
     "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
     "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",

@@ -19,6 +19,7 @@ from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
+from ilctools.problem.plausible import at_rest_in_words, doubts
 from ilctools.problem.problem import K_MAX, Problem, Solution
 from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import TIED, largest_singular_values
@@ -171,6 +172,7 @@ class Certificate:
         units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and np.all(problem.scale == 1):
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
+        found += self._doubts
         if response.models[0] is None:
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
@@ -181,6 +183,10 @@ class Certificate:
         if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
             found.append(Finding(code, peak.sigma, known, self._place(peak)))
         return found
+
+    @cached_property
+    def _doubts(self) -> list[Finding]:
+        return doubts(self.problem.response)
 
     def _place(self, peak):
         """Where a peak is, and of which plant."""
@@ -202,6 +208,7 @@ class Certificate:
         where = ", proven" if self.proven else f" {_span(problem.omega)}, estimated"
         samples, norm = self.trial
         gains = [
+            at_rest_in_words(problem.response),
             f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s",
             f"where P lags by {problem.delay} samples",
             f"sigma_max(L) {self.all_L:.3g}",

@@ -19,6 +19,7 @@ class TabulatedResponse(Measured):
     The lines of a table that brings no radius count as exact; between them nothing is.
     """
 
+    estimated = False  # its unit is what its author says
     omega: np.ndarray  # rad/s, shape (n,)
     response: np.ndarray  # shape (n, m, m), complex
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence

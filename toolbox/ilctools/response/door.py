@@ -9,7 +9,7 @@ import numpy as np
 
 from ilctools import arguments, labels
 from ilctools.filters import ZeroPhaseButterworth
-from ilctools.loop.closed import Loop
+from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import Response
@@ -18,6 +18,7 @@ from ilctools.signals import Signals, check_match
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
 LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
+FROM_ONE = 0.3  # up to which P counts as the identity
 MOST_APART = 1e100  # of a scale: products with it stay doubles
 PRINTED = 1e-6  # relative, of a table: digits of its last frequency, and of P, which is real there
 
@@ -88,7 +89,17 @@ def response_of(
         scale=scale,
         signals=nominal,
         assumptions=assumptions,
+        measured=isinstance(P, Measured) and P.estimated,
+        one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
     )
+
+
+def _is_one(loop, omega):
+    """Whether a loop that integrates makes its P the identity, at one frequency."""
+    if not isinstance(loop, CurrentTrialLoop):
+        return False
+    [P] = loop.frequency_response(omega)
+    return bool(np.linalg.norm(P - np.eye(len(P)), 2) < FROM_ONE)
 
 
 def named(P) -> dict:

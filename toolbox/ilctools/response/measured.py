@@ -16,13 +16,14 @@ class Measured:
     """A response as known at some frequencies, and the region in which the truth lies.
 
     A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
-    `findings`, which speak against it. It says what the doors here ask by ``_radius(confidence,
-    jointly)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``; by ``_samples(confidence)``,
-    if those between which it is splined are not those at `omega`, or else by ``_on(omega,
-    confidence)``.
+    `findings`, which speak against it; `estimated` is False of a table. It says what the doors here
+    ask by ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``;
+    by ``_samples(confidence)``, if those between which it is splined are not those at `omega`, or
+    else by ``_on(omega, confidence)``.
     """
 
     findings = ()
+    estimated = True  # from a record, whose times give the frequencies their unit
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.

@@ -30,6 +30,8 @@ class Response:
     scale: np.ndarray  # (m,): what counts as equally large in each channel
     signals: Signals  # of the nominal plant
     assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
+    measured: bool = False  # whether the nominal P is an estimate, which knows its own frequencies
+    one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
 
     @property
     def sampled(self) -> bool:

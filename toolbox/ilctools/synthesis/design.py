@@ -69,6 +69,8 @@ def synthesise(
         nominal plant, whose convergence is made fast; the bounds hold for all of them. What
         :func:`measured_response` returns has its radius, in which the truth lies with a probability
         of 0.99; for another, pass both of ``P.on(omega, confidence)`` as P and `uncertainty`.
+        A DataArray with the dimensions frequency, output and input is matched by name, as are
+        labelled Q, `uncertainty`, `scale` and `reference`, see :mod:`ilctools.labels`.
         Samples are of what is sampled, with the hold, which python-control's data of a continuous
         model lack, half a sample of delay: sample that first. Above the last frequency of samples,
         P is taken for zero with a radius, its size there.
@@ -80,8 +82,8 @@ def synthesise(
         or more, half of that cut-off.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
-        of python-control's frequency response data; of models and measured responses 1000 of them,
-        from a thousandth of Q's cut-off on.
+        of python-control's frequency response data, or the labels of P, Q or `uncertainty`; of
+        models and measured responses 1000 of them, from a thousandth of Q's cut-off on.
     Ts : float, optional
         Sampling period, s; for arrays, of which none knows it.
     order : int, optional
@@ -160,7 +162,9 @@ def synthesise(
         of 1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to
         one there, a filter that leaves nearly all of the error, a Q that no filter can make up for
         where P is not known. Samples that scatter as noise does are not noticed: without
-        `uncertainty` they count as exact.
+        `uncertainty` they count as exact. A table also warns if it ends where one in Hz does, just
+        below 1 / (2 Ts), if it begins at minus one, or if it looks like the sensitivity or the
+        inverse of a loop, see :mod:`.problem.plausible`.
 
     Raises
     ------

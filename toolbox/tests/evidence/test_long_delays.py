@@ -19,7 +19,7 @@ def test_directions_that_grow_alike_have_a_norm(samples, delay):
 
     Its largest singular values are 1 - 1e-6 and closer: a Lanczos iteration cannot separate them.
     """
-    Q, L = zero_phase_butterworth(2, 1.0, 1.0), LearningFilter([[[0.5]]], 1.0, first=delay)
+    Q, L = zero_phase_butterworth(2, 2.8, 1.0), LearningFilter([[[0.5]]], 1.0, first=delay)
     norm, before, after = trial_norm(delayed(delay), Q, L, samples)
     lag = np.arange(samples)
     P_N = 1.0 * (lag[:, None] - lag == delay)
