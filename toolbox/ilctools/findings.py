@@ -20,8 +20,8 @@ WORDS = {
     "what is equally large in each",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
     "exp(-j omega t), then pass P.conj(), or in other units of omega?",
-    "rest": "P differs from the identity by {value:.2g} {place}, where this loop integrates and has "
-    "it: does each sensor answer, do actuators stay within limits, does this controller run?",
+    "rest": "P differs from the identity by {value:.2g} {place}, where this loop integrates and "
+    "has it: does each sensor answer, do actuators stay within limits, does this controller run?",
     "hertz": "{place}, just below 1 / (2 Ts) = {value:.6g}, as a table in Hz does: if it is in Hz, "
     "pass 2 pi omega, as omega is in rad/s",
     "sign": "P is near {value:g} {place}, where a loop that tracks its reference has 1: is the "

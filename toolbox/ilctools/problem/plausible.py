@@ -5,10 +5,11 @@ What follows is asked of tables alone, as questions: each of them has an answer 
 
 **Unit.** A table in Hz ends just below 1 / (2 Ts), at the last line of a transform or at nine
 tenths of the Nyquist frequency. In rad/s this number means nothing: few tables end there by chance.
-(The phase does not decide it. Other units turn a delay of one sample into one of six, which is a
-plant, too. Rational functions of z = exp(j omega Ts) with up to four poles were tried: of 44 plants
-they fit some ten better in Hz, by a factor of three and more, when the table is in rad/s and ends
-at a tenth of the Nyquist frequency, since they resolve slow poles better there.)
+If a table ends there exactly, P in Hz is real there. A table that is not real, by more than noise,
+is then in rad/s. Elsewhere the phase does not decide. Other units turn a delay of one sample into
+one of six, which is a plant, too. Rational functions of z = exp(j omega Ts) with up to four poles
+were tried. Some ten of 44 plants they fit three times better in Hz and more, although the table is
+in rad/s and ends at a tenth of the Nyquist frequency: they resolve slow poles better there.
 
 **Rest.** What tracks a reference has the gain one at rest. A gain of minus one there is a sign;
 nothing at rest, and one at the highest frequencies, is the sensitivity I - P; one at rest, with a
@@ -27,9 +28,10 @@ from ilctools.singular_values import largest_singular_values
 
 NEAR = 0.85  # of 1 / (2 Ts), from which on the end of a table looks like one in Hz
 ROUNDED = 1e-3  # by which a table in Hz may pass 1 / (2 Ts)
-FAR = 0.3  # of a gain of one, at rest
+NOISY = 0.05  # of the largest gain, below which noise may turn the phase
+FAR = 0.3  # of a gain of one, at rest; of the gain at 1 / (2 Ts), of its imaginary part
 END = 0.5  # of a gain of one that a sensitivity has at its end, where a loop still passes something
-GROWN = 3.0  # gain at the end of an inverse, from one at rest
+GROWN = 2.0  # gain at the end of an inverse, from one at rest
 LEADS = 0.5  # rad, phase there
 TURNED = 0.2  # rad, of a phase that is worth its digits
 VISIBLE = 0.01  # of the largest gain: coupling that is worth a number
@@ -43,7 +45,7 @@ def doubts(response: Response) -> list[Finding]:
         return _far_from_one(response)
     if response.models[0] is not None or response.measured:
         return []
-    return [*_hertz(omega, response.Ts), *_sign(P, omega), *_sensitivity_or_inverse(P, omega)]
+    return [*_hertz(P, omega, response.Ts), *_sign(P, omega), *_sensitivity_or_inverse(P, omega)]
 
 
 def at_rest_in_words(response: Response) -> str:
@@ -87,9 +89,14 @@ def _far_from_one(response):
     return [Finding("rest", off, 1 - FAR, place)] if off > 1 - FAR else []
 
 
-def _hertz(omega, Ts):
-    """A table that ends where one in Hz does."""
-    if not NEAR <= omega[-1] * 2 * Ts <= 1 + ROUNDED:
+def _hertz(P, omega, Ts):
+    """A table that ends where one in Hz does; not one that turns where P in Hz would be real."""
+    end = omega[-1] * 2 * Ts
+    if not NEAR <= end <= 1 + ROUNDED:
+        return []
+    sizes = np.abs(P).max(axis=(1, 2))
+    turned = np.abs(P[-1].imag).max() > FAR * sizes[-1] > FAR * NOISY * sizes.max()
+    if end > 1 - ROUNDED and turned:
         return []
     return [Finding("hertz", 0.5 / Ts, NEAR, f"omega ends at {omega[-1]:.6g}")]
 

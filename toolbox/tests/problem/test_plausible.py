@@ -53,6 +53,18 @@ def test_a_table_in_hertz_that_ends_near_its_nyquist_frequency_is_doubted(name, 
     assert "hertz" in [found.code for found in doubts(tabulated)]
 
 
+def test_a_table_that_turns_where_one_in_hertz_is_real_is_not_doubted():
+    """It ends at 1 / (2 Ts), which is the Nyquist frequency in Hz, where P is real."""
+    P, omega, Ts = table("pipe", 1 / np.pi)  # 0.5 rad/s at Ts = 1 s, behind a delay of 31 samples
+    assert abs(omega[-1] * Ts - 1) < 1e-12
+    omega, P = omega / 2, frequency_response(PLANTS["pipe"], omega / 2)
+    assert abs(P[-1].imag) > 0.3 * abs(P[-1]) > 0.3 * 0.05 * abs(P).max()
+    assert codes(P, omega, Ts) == []
+    # one in Hz whose last line is noisy is doubted, though P is not real enough to be refused
+    P, omega, Ts = table("lag", 1.0, noise=0.01)
+    assert codes(P, omega / (2 * np.pi), Ts) == ["hertz"]
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 @pytest.mark.parametrize("name", TRACKING)
 def test_a_sign_the_sensitivity_and_the_inverse_of_a_loop_are_doubted(name, noise):
