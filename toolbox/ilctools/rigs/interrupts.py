@@ -29,14 +29,18 @@ class Interrupts:
         self.process, self.is_safe = os.getpid(), threading.Event()
 
     def watch(self) -> None:
-        """Note Ctrl-C, even if asyncio handles it; others, unless somebody handles them."""
+        """Note Ctrl-C, even if asyncio handles it; others, unless somebody handles them.
+
+        A handler that C code has installed, which `getsignal` gives as None, is left alone.
+        """
         atexit.register(self.end_thread)
-        with suppress(ValueError):  # of a thread that is not the main one
+        # only the main thread can set handlers, and only of the main interpreter
+        with suppress(ValueError):
             for number in ENDS:
                 handler = signal.getsignal(number)
                 if handler in USUAL or (number == signal.SIGINT and callable(handler)):
-                    self.handlers[number] = handler
                     signal.signal(number, self.note)
+                    self.handlers[number] = handler  # once it is replaced, and must come back
 
     def note(self, number, frame) -> None:
         """Handle a signal."""

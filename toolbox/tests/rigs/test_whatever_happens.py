@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -23,9 +24,11 @@ from ilctools import (
     LearningFilter,
     load_law,
     load_log,
+    multisine,
     read_table,
     record,
     save_log,
+    shake,
     zero_phase_butterworth,
 )
 from ilctools.errors import RigError
@@ -162,6 +165,57 @@ def test_signals_are_handled_as_before_afterwards_and_by_whom_they_were():
         assert seen[1] is not signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def in_executor(run):
+    """What a call returns in the executor of asyncio."""
+
+    async def main():
+        return await asyncio.get_running_loop().run_in_executor(None, run)
+
+    return asyncio.run(main())
+
+
+def in_thread(run):
+    """What a call returns in a thread, or the error that it raises there."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(run).result()
+
+
+@pytest.mark.parametrize("elsewhere", [in_thread, in_executor])
+def test_another_thread_than_the_main_one_has_the_same_trials_and_the_same_errors(elsewhere):
+    """Where no handler of signals can be set, none was replaced."""
+    trials = partial(record, loop=LOOP, law=LAW, reference=REFERENCE, trials=3)
+    shaken = partial(shake, loop=LOOP, excitation=multisine(LOOP, 5.0, 50.0, 1.0, 0.02))
+    for run in (trials, shaken):
+        there = elsewhere(lambda run=run: run(Axis()))
+        assert there.identical(run(Axis())) and there.sizes["trial"] > 1
+        broken = Axis()
+        broken.apply = lambda w: (_ for _ in ()).throw(RuntimeError("usb gone"))
+        broken.safe = partial(setattr, broken, "x", -1.0)
+        with pytest.raises(RuntimeError, match="usb gone") as error:
+            elsewhere(lambda run=run, rig=broken: run(rig))
+        assert error.value.__context__ is None and broken.x == -1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("fails", [False, True])
+def test_all_handlers_are_back_after_a_run_and_those_of_c_code_are_not_touched(fails, monkeypatch):
+    """`getsignal` gives a handler that C code has installed as None."""
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    axis, before = Axis(), [*map(signal.getsignal, numbers)]
+    axis.read = lambda: [np.nan if fails else 0.0]
+    run = partial(record, axis, LOOP, LAW, REFERENCE, trials=1)
+    with suppress(RigError):
+        run()
+    assert [*map(signal.getsignal, numbers)] == before
+    touched, known, set_handler = [], signal.getsignal, signal.signal
+    monkeypatch.setattr(signal, "getsignal", lambda n: None if n in numbers[:2] else known(n))
+    monkeypatch.setattr(signal, "signal", lambda n, h: [touched.append(n), set_handler(n, h)][1])
+    with suppress(RigError):
+        run()
+    assert {*touched} == {signal.SIGHUP}
+    assert [*map(known, numbers)] == before
 
 
 @pytest.mark.parametrize("reset", [True, False])
