@@ -46,6 +46,23 @@ def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
         pass
 
 
+@pytest.mark.skipif(os.name != "posix", reason="links, pipes")
+def test_a_lock_does_not_follow_a_link_and_waits_for_no_pipe(tmp_path, monkeypatch):
+    lock, planted, pipe = tmp_path / "lock", tmp_path / "planted", tmp_path / "pipe"
+    lock.symlink_to(planted)
+    os.mkfifo(pipe)
+    for name in (lock, pipe):
+        with (
+            pytest.raises(FileExistsError, match=f"{name} is no .* link: remove it"),
+            alone(name, ""),
+        ):
+            pytest.fail("must not come that far")
+    monkeypatch.setattr(type(lock), "is_symlink", lambda path: False)  # made a moment later
+    with pytest.raises(OSError, match="symbolic links"), alone(lock, ""):
+        pytest.fail("must not come that far")
+    assert not planted.exists()
+
+
 def test_readers_see_one_text_or_another_whole_while_two_write(tmp_path):
     path, texts = tmp_path / "log.csv", ["a" * 50_000, "b" * 50_000]
     write_whole(path, texts[0])

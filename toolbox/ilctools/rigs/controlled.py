@@ -114,6 +114,7 @@ class ControlledRig:
         self.rig, self.loop, self.goes_on = rig, loop, goes_on
         self.ours = isinstance(loop, CurrentTrialLoop)
         self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
+        self.of_outputs = f"reading of {', '.join(self.outputs)}"  # as errors call it
         self.find_signals()
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
@@ -212,7 +213,7 @@ class ControlledRig:
     def check_clock(self) -> None:
         """Note by how much a sample is off the clock of the rig, if it has one."""
         if self.clock:
-            now = float(_reading("clock", self.clock(), ()))
+            now = float(self.reading("clock", self.clock(), ()))
             due = now if self.due is None else self.due
             self.late.append(abs(now - due))
             self.due = due + self.Ts
@@ -246,10 +247,22 @@ class ControlledRig:
         """The outputs, and what else is measured; nothing is used before it is checked."""
         y, measured = self.rig.read(), self.rig.measured if self.signal_of else {}
         values = {
-            name: self.rounded(signal, float(_reading(name, measured.get(name), ())))
+            name: self.rounded(signal, float(self.reading(name, measured.get(name), ())))
             for name, signal in self.signal_of.items()
         }
-        return _reading("reading", y, (len(self.outputs),)), values
+        return self.reading(self.of_outputs, y, (len(self.outputs),)), values
+
+    def reading(self, name, values, shape) -> np.ndarray:
+        """What the driver gave, as an array; a RigError that says when, if it is none.
+
+        For one output a number is enough, as :meth:`.Law.next` takes signals (time,) for it.
+        """
+        try:
+            if shape == (1,) and np.ndim(values) == 0:
+                values = [values]
+            return arguments.array(name, values, shape)
+        except ValueError as error:
+            raise RigError(f"{self.place}: {error}") from None
 
     def check_stop(self, names, values) -> None:
         """Stop at what is beyond the limits of `stop`."""
@@ -273,14 +286,6 @@ class ControlledRig:
         except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
             raise
-
-
-def _reading(name, values, shape):
-    """A reading as an array; a RigError if it is none."""
-    try:
-        return arguments.array(name, values, shape)
-    except ValueError as error:
-        raise RigError(str(error)) from None
 
 
 def _rounded(values, decimals):

@@ -67,12 +67,14 @@ def record(
         and they must be zero. Default zero.
     path : path-like, optional
         Of a log, to which each trial is added when it ends, so that a fault costs one trial at
-        most, or two just after one has ended without reset; without it, all. A link is followed.
+        most, or two just after one has ended without reset; without it, all. A link is followed. A
+        relative path counts from the working directory at the call, wherever a driver goes later.
         If the log is there, its trials must be of the same experiment, and the next one follows; a
         last trial that is torn or shorter than the first is dropped, with a warning. That the plant
         and a commanded disturbance are the same, nothing checks but the trials that follow. If it
-        has `trials` or more, none is run, and all of them are returned. Meanwhile no other process
-        can record to it, and no other program must write to it.
+        has `trials` or more, none is run, and all of them are returned, also from a folder that is
+        read only. Meanwhile no other process can record to it, and no other program must write to
+        it.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. With L None, that of all trials.
     pause : int, optional
@@ -102,9 +104,9 @@ def record(
     ValueError
         If something does not belong together; before anything is applied.
     RigError
-        If a reading is not finite or has the wrong shape: the trial ends, those before it stay. As
-        any error of a driver or a disk, it has the trials before in its attribute ``trials``, and
-        the trial and the sample in a note.
+        If a reading is not finite or has the wrong shape: the trial ends, those before it stay. Its
+        text begins with the trial and the sample. As any error of a driver or a disk, it has the
+        trials before in its attribute ``trials``, and the trial and the sample in a note.
     StoppedError
         If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError.
 

@@ -43,8 +43,8 @@ class Rig(Protocol):
     [21.0]
     """
 
-    def read(self) -> Iterable[float]:
-        """The outputs now, in the order and the units of the loop."""
+    def read(self) -> Iterable[float] | float:
+        """The outputs now, in the order and the units of the loop; a number, if there is one."""
 
     def apply(self, commands, /) -> None:
         """Set the inputs, and return when the next sample is due."""

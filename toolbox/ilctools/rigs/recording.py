@@ -1,5 +1,6 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
+import errno
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +24,7 @@ from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.recorded import parts_of
 from ilctools.trials.start import Start
 
+DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)  # of a file or a folder that is read only
 LATE = 0.1  # sampling periods that a sample may be off the clock
 NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 
@@ -44,19 +46,39 @@ class Experiment:
         """Run the trials that are not in the log at `path` yet; the log of all."""
         with ExitStack() as locks:
             if path is not None:
-                path = regular(arguments.path("path", path))
+                # absolute, because a driver may change the working directory
+                path = regular(arguments.path("path", path)).absolute()
                 if not path.parent.is_dir():
                     raise ValueError(f"path = '{path}' must be in a folder that exists")
-                busy = f"path = '{path}' is recorded to by another process: wait, or give another"
-                locks.enter_context(alone(path.with_name(f".{path.name}.lock"), busy))
-                if path.exists():
-                    self.go_on_from(read_log(path, ended=True), path)
+                self.open_log(path, locks)
             if len(self.trials) < len(self.reference):
                 if self.trials:
                     write_log(self.log, path)  # without a last trial that is torn
                     self.size = path.stat().st_size
                 self.run_on(pause, path)
         return self.log
+
+    def open_log(self, path, locks) -> None:
+        """Keep other processes from the log at `path`, and take the trials that it has.
+
+        Where nothing can be written, a log that has all trials is still read.
+        """
+        denied, lock = None, path.with_name(f".{path.name}.lock")
+        busy = f"path = '{path}' is recorded to by another process: wait, or give another"
+        try:
+            locks.enter_context(alone(lock, busy))
+        except OSError as error:
+            if error.errno not in DENIED:
+                raise
+            denied = error
+        if path.exists():
+            self.go_on_from(read_log(path, ended=True), path)
+        missing = len(self.reference) - len(self.trials)
+        if denied and missing > 0:
+            raise PermissionError(
+                f"path = '{path}' cannot be written to, but {missing} of {len(self.reference)} "
+                f"trials are not in it: give another path ({denied})"
+            )
 
     def run_on(self, pause, path) -> None:
         """Run the trials that follow those that have ended; leave the rig safe on every way out."""

@@ -282,6 +282,71 @@ def test_a_log_that_another_program_writes_during_a_trial_is_left_alone(tmp_path
     assert path.read_text() == "theirs" and error.value.trials.sizes["trial"] == 3
 
 
+def test_a_log_stays_where_it_was_begun_if_the_driver_changes_the_folder(tmp_path, monkeypatch):
+    (tmp_path / "other").mkdir()
+    monkeypatch.chdir(tmp_path)
+    axis = Axis()
+    axis.begin = lambda trial: os.chdir(tmp_path / "other")
+    log = record(axis, LOOP, LAW, REFERENCE, trials=3, path="log.csv")
+    assert not os.listdir(tmp_path / "other")
+    assert load_log(tmp_path / "log.csv").identical(log)
+
+
+def test_a_complete_log_in_a_folder_that_is_read_only_is_returned(tmp_path, monkeypatch):
+    path, axis, opened = tmp_path / "log.csv", Axis(), os.open
+    log = record(axis, LOOP, LAW, REFERENCE, trials=2, path=path)
+    (tmp_path / ".log.csv.lock").unlink()
+    begun, x = partial(record, axis, LOOP, LAW, REFERENCE, path=path), axis.x
+
+    def denied(name, flags, *mode, **options):
+        """As for a user who is not root."""
+        if flags & os.O_CREAT and Path(name).parent == tmp_path:
+            raise PermissionError(13, "Permission denied", str(name))
+        return opened(name, flags, *mode, **options)
+
+    tmp_path.chmod(0o555)
+    monkeypatch.setattr(os, "open", denied)
+    try:
+        for trials in (1, 2):
+            assert begun(trials=trials).identical(log)
+        with pytest.raises(PermissionError, match=r"log\.csv' cannot be .* but 3 of 5 trials are"):
+            begun(trials=5)
+    finally:
+        tmp_path.chmod(0o755)
+    assert axis.x == x and os.listdir(tmp_path) == ["log.csv"]
+
+
+def test_a_reading_of_one_output_may_be_a_number_and_of_several_may_not():
+    """As `law.next` takes signals of one channel without an axis for it, but not of several."""
+    plain, listed = Axis(), record(Axis(), LOOP, LAW, REFERENCE, trials=3)
+    for number in (float, np.float64, lambda x: np.array([x])[0], np.array):
+        plain.x, plain.read = 0.0, lambda number=number: number(plain.x)
+        assert record(plain, LOOP, LAW, REFERENCE, trials=3).identical(listed)
+    v, e = (listed[name].values[0] for name in ("v", "e"))
+    assert np.array_equal(LAW.next(v[:, 0], e[:, 0]), LAW.next(v, e)[:, 0])
+    two = ClosedLoop(Ts=0.01, outputs=["x", "y"])
+    law = Law(LAW.Q, LearningFilter(0.5 * np.eye(2)[..., None], 0.01))
+    with pytest.raises(RigError, match=r"reading of x, y has shape \(\), but must have shape \(2,"):
+        record(plain, two, law, np.ones((200, 2)))
+    with pytest.raises(ValueError, match=r"v has shape \(200,\), but must have shape"):
+        law.next(v[:, 0], e[:, 0])
+
+
+@pytest.mark.parametrize("bad", [[np.nan], np.nan, [0.0, 0.0], None, "0.0"])
+def test_an_error_of_a_reading_says_in_which_trial_and_sample(bad):
+    """In its text, which a log of a service has without notes."""
+    axis, readings = Axis(), []
+
+    def read():
+        readings.append(axis.x)
+        return bad if len(readings) == 200 + 7 else [axis.x]
+
+    axis.read = read
+    with pytest.raises(RigError) as error:
+        record(axis, LOOP, LAW, REFERENCE, pause=0)
+    assert str(error.value).startswith("trial 2, sample 7: reading of x ")
+
+
 def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tmp_path):
     log, pipe = tmp_path / "log.csv", tmp_path / "pipe"
     record(Axis(), LOOP, LAW, REFERENCE, trials=1, path=log)
