@@ -45,9 +45,9 @@ class Law:
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without one to theirs, and refuse a law for another.
     region : Response, optional
-        The plants of a design and their radius, but of one model alone: trials are judged by them,
-        else by the loop's P. :meth:`.Synthesis.law` gives it; neither a file of the law nor a log
-        stores it.
+        The plants of a design and their radius: trials are judged by them. If it is one model
+        alone, they are judged by the loop's P, if the loop has one. :meth:`.Synthesis.law` gives
+        it; neither a file of the law nor a log stores it.
     labels : Signals, optional
         Names and units of the plant of a design: a loop with the same in another order is refused.
         No file stores them, either.

@@ -59,15 +59,14 @@ class Synthesis:
     def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
         """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`.
 
-        If P was not one model, the law keeps what was known of it: trials are judged by that.
+        The law keeps what was known of P: trials are judged by that, if their loop has no P.
         """
-        problem, region = self.problem, None
+        problem = self.problem
         if isinstance(problem.lowpass, SampledQ):
             raise ValueError(
                 "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
             )
-        if problem.robust or problem.response.sampled:
-            region = in_own_units(problem.response)
+        region = in_own_units(problem.response)
         signals = problem.response.signals
         return Law(self.Q, self.filter, rest, gain, limits, region=region, labels=signals)
 

@@ -1,4 +1,4 @@
-"""What trials say against convergence: *the error grows*, and *the plant is not the model*.
+"""What trials say against convergence: *the error grows*, *the plant is not the model*, *dead*.
 
 Without its ends a trial k obeys, with P of the loop and e_free the error without learning,
 
@@ -12,19 +12,31 @@ its ends, and with the v that was recorded, the model promises the error
 The plant is not the model where errors exceed both, by more than noise explains; the error grows
 where its RMS rises by more than noise explains. How large noise is follows from the trials
 themselves: it is what does not repeat, however coloured, and what v does not explain.
+
+P is that of the design with its radius, or else the loop's. A loop without P says nothing about how
+exact the P of its law is. Then (1) and (2) are taken for all plants (I + Delta) P with a relative
+error ||Delta|| of PLANT_ERROR at most, for which sigma_max(M) grows by the error times
+sigma_max(Q P L) at most. A plant that is wrong by a quarter learns more slowly, and is no news. A
+signal in another unit, whose Delta is near -I, is news.
+
+An output is dead if it stands still in a trial in which P moves it.
 """
 
 from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
 
+import control
 import numpy as np
 import xarray as xr
 from scipy.special import factorial, fdtrc
 
 from ilctools.evidence.robustness import within_radius
 from ilctools.law.law import Law
+from ilctools.models import frequency_response
 from ilctools.response.door import response_of
+from ilctools.response.response import Response
+from ilctools.singular_values import largest_singular_values
 from ilctools.trials.learn import applied_v
 from ilctools.trials.recorded import runs, successions
 from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
@@ -36,6 +48,8 @@ RISES = 3  # if it rose so many times in succession,
 JUMP = 3.0  # or at once, relative to the largest before: one new disturbance is no divergence
 AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
+PLANT_ERROR = 0.5  # of a P that the law alone has, relative to it, that is no news
+STILL = 0.05  # movement of an output that P predicts, relative to the reference's, that must show
 ROUNDING = 1e-9  # relative to the largest signal
 TINY = np.finfo(float).tiny  # instead of a zero that divides
 AXES = ("trial", "time", "channel")
@@ -51,7 +65,8 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
         If its design was for more than one model, or else its loop has a model P, the trials are
-        compared with that: they must contradict each of the plants.
+        compared with that: they must contradict each of the plants. Else they are compared with the
+        model of its design, or that of its L, see :func:`known_plants`.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -60,17 +75,19 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     Returns
     -------
     dict
-        The first warning of each kind: "growth" and "model".
+        The first warning of each kind: "growth", "dead" and "model", which "dead" replaces.
     """
     if law.L is None:
         return {}
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         found = {"growth": _first_finding(error_grows, forgetting(trials, law), first)}
         for P in [] if exact else known_plants(law):
-            differs = partial(plant_differs, law, largest_M(law, P))
-            found["model"] = _first_finding(differs, predicted(trials, law, P), first)
-            if not found["model"]:
-                break
+            found |= {"dead": dead_outputs(trials, law, P, first), "model": {}}
+            if not found["dead"]:
+                differs = partial(plant_differs, law, largest_M(law, P))
+                found["model"] = _first_finding(differs, predicted(trials, law, P), first)
+                if not found["model"]:
+                    break
     return {kind: WORDS[kind].format(**values) for kind, values in found.items() if values}
 
 
@@ -138,38 +155,133 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 
 
 def known_plants(law: Law) -> list[Callable]:
-    """P and its radius over omega, of each plant of the design, or else of the loop's model."""
-    model, region = getattr(law.loop, "P", None), law.region
-    if region is None and model is not None:
-        region = response_of(model, GRID / law.Ts)
+    """P and its radius over omega, of each plant that the trials are compared with.
+
+    These are the plants of the design, if it knew more than one exact model; else the loop's P;
+    else the model of the design; else, of a law that was read from a file, the models in its L.
+    """
+    region, model = law.region, getattr(law.loop, "P", None)
+    if region is None or (is_exact(region) and model is not None):
+        models = models_in(law.L) if model is None else [model]
+        region = response_of(models, GRID / law.Ts) if models else None
     count = 0 if region is None else len(region.models)
     return [partial(region.anywhere, k) for k in range(count)]
+
+
+def is_exact(region: Response) -> bool:
+    """Whether it is one model without a radius."""
+    return region.radius is None and not region.sampled and len(region.models) == 1
+
+
+def models_in(L) -> list[control.StateSpace]:
+    """The models of norm-optimal learning or of the base B of L, in the outputs' own units.
+
+    None if they are diagonal, as those of a diagonal filter are, whatever the plant is.
+    """
+    B = getattr(L, "B", L)
+    P = getattr(B, "P", None)
+    if P is None or P.noutputs % P.ninputs:
+        return []
+    m, count = P.ninputs, P.noutputs // P.ninputs
+    scale = getattr(B, "scale", np.ones(m))
+    S, R = np.diag(np.tile(scale, count)), np.diag(1 / scale)
+    # B has them one below the other, divided by the root of their number
+    S *= np.sqrt(count)
+    stacked = control.ss(P.A, P.B @ R, S @ P.C, S @ P.D @ R, P.dt)
+    models = [stacked[k * m : (k + 1) * m, :] for k in range(count)]
+    return [] if m > 1 and all(map(_is_diagonal, models)) else models
+
+
+def _is_diagonal(model):
+    """Whether no input acts on another's output, at any frequency of GRID."""
+    size = np.abs(frequency_response(model, GRID / model.dt)).max(axis=0)
+    return np.all(size - np.diag(np.diag(size)) <= ROUNDING * size.max())
+
+
+def plant_error(law: Law) -> float:
+    """Relative error of P that is no news: none if the loop's P or a radius says what P is."""
+    of_loop, region = getattr(law.loop, "P", None), law.region
+    known = of_loop is not None or (region is not None and region.radius is not None)
+    return 0.0 if known else PLANT_ERROR
 
 
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     """Trials with P v from rest, by which v lowers the error, and what the radius may add to it.
 
-    And with `kept`, what Q never learns of the error without v. By transforms of twice the length,
-    after which the impulse response has decayed.
+    And with `kept`, what Q never learns of the error without v.
     """
-    v = np.array([applied_v(law, run) for run in runs(trials)])
-    samples = v.shape[1]
-    response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
-    V = np.fft.rfft(v, 2 * samples, axis=1)[..., None]
-    spectra = np.stack([response @ V, radius[:, None, None] * V])[..., 0]
-    effect, spread = np.fft.irfft(spectra, axis=2)[:, :, :samples].reshape(2, *trials.v.shape)
+    v = [applied_v(law, run) for run in runs(trials)]
+    effect, spread = through(P, v, law.Ts).reshape(2, *trials.v.shape)
     free = trials.e.values + effect
     kept = AXES, free - law.Q.apply(free)  # (1 - Q) e_free
     of_inputs = ("trial", "time", "input"), spread
     return trials[["e", "reference"]].assign(effect=(AXES, effect), kept=kept, spread=of_inputs)
 
 
+def through(P: Callable, signals, Ts: float) -> np.ndarray:
+    """What P makes of signals (run, time, m) from rest, and its radius: (2, run, time, m).
+
+    By transforms of twice the length, after which the impulse response has decayed.
+    """
+    samples = np.shape(signals)[1]
+    response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, Ts))
+    spectra = np.fft.rfft(signals, 2 * samples, axis=1)[..., None]
+    both = np.stack([response @ spectra, radius[:, None, None] * spectra])[..., 0]
+    return np.fft.irfft(both, axis=2)[:, :, :samples]
+
+
+def dead_outputs(trials: xr.Dataset, law: Law, P: Callable, first: int) -> dict:
+    """Outputs that stand still in a trial in which P moves them, whatever its error or radius.
+
+    The movement that P predicts is that by w = r + v, from rest where w begins. It counts if it is
+    more than STILL of :func:`to_move`.
+    """
+    y = trials.y.values
+    still = np.ptp(y, axis=1) == 0
+    still[: first - 1] = False
+    if not still.any():
+        return {}
+    w = [run["reference"] + applied_v(law, run) for run in runs(trials)]
+    moves, spread = through(P, [x - x[:1] for x in w], law.Ts).reshape(2, *y.shape)
+    moves, spread = np.std(moves, axis=1), np.linalg.norm(_rms(spread), axis=1)
+    surely = (1 - plant_error(law)) * moves - spread[:, None]
+    dead = still & (surely > STILL * to_move(trials))
+    if not dead.any():
+        return {}
+    k = dead.any(axis=1).argmax()
+    return {
+        "trial": trials.trial.values[k],
+        "outputs": ", ".join(trials.output.values[dead[k]]),
+        "moves": moves[k, dead[k]].max(),
+    }
+
+
+def to_move(trials: xr.Dataset) -> np.ndarray:
+    """By how much outputs are to move (trial, channel), those of a unit together.
+
+    It is the deviation of the reference from its mean; if that stands still, its size or the
+    error's: a coarse sensor that shows no movement within its resolution is not dead.
+    """
+    r, e = trials.reference.values, trials.e.values
+    moves, size, error = np.std(r, axis=1), _rms(r), _rms(e)
+    for channels in by_unit(trials.output_unit.values.tolist()).values():
+        for values in (moves, size, error):
+            values[:, channels] = values[:, channels].max(axis=1, keepdims=True)
+    return np.where(moves > ROUNDING * size, moves, np.maximum(size, error))
+
+
+def _rms(signals):
+    """Root of the mean square over time, of signals (trial, time, channel)."""
+    return np.sqrt(np.mean(signals**2, axis=1))
+
+
 def largest_M(law: Law, P: Callable) -> np.ndarray:
-    """sigma_max(M) on GRID, the largest within the radius of P."""
+    """sigma_max(M) on GRID, the largest within the radius of P, or with its error."""
     omega = GRID / law.Ts
     response, radius = P(omega)
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)
-    return within_radius(response, Q, L, radius, 0)
+    learned = largest_singular_values(Q[:, None, None] * (response @ L))
+    return within_radius(response, Q, L, radius, 0) + plant_error(law) * learned
 
 
 def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: int) -> dict:
@@ -183,7 +295,8 @@ def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: i
     sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, frequency))
     size = np.maximum(rms_by_octave(e[before]), TINY)
     bound = 1 - law.gain + law.gain * (sigma + rms_by_octave(kept[before]) / size)  # (1)
-    off = rms_by_octave(spread[k] - spread[before])  # by the radius of P
+    off = rms_by_octave(spread[k] - spread[before])  # by the radius of P, and by its error
+    off += plant_error(law) * rms_by_octave(effect[k] - effect[before])
     promised = (rms_by_octave(e[before] + effect[before] - effect[k]) + off) / size  # (2)
     measured = rms_by_octave(e[k]) / size
     return {
@@ -209,6 +322,7 @@ def plant_differs(law: Law, sigma, trials: SimpleNamespace) -> dict:
     changes, expected = np.diff(e, axis=0), -np.diff(trials.effect, axis=0)
     came, noise, freedom = unexplained(changes, expected)
     noise = noise + (ROUNDING * np.abs(e[last]).max()) ** 2
+    wrong = plant_error(law)
     for before, k in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
         errors = errors_by_octave(law, sigma, trials, before, k)
         excess = errors["excess"]
@@ -221,6 +335,7 @@ def plant_differs(law: Law, sigma, trials: SimpleNamespace) -> dict:
                 "trials": trials.trial[[before, k]],
                 "came": came[worst, channel],
                 "output": trials.output[channel],
+                "even": f", even if P is wrong by {wrong:.0%}" if wrong else "",
                 **{name: values[worst] for name, values in errors.items()},
             }
     return {}
@@ -267,12 +382,18 @@ WORDS = {
         "a trial may be the cause: bound L (L_max) so that trial_norm is below 1, too, or let "
         "reference and v rest there"
     ),
+    "dead": (
+        "{outputs} never moves in trial {trial}, where the model predicts a movement of "
+        "{moves:.3g} (RMS): is a sensor dead or not connected, or an actuator switched off? What "
+        "is learned from an output that never moves grows in each trial and lowers no error"
+    ),
     "model": (
         "{where}the convergence rate is not the predicted one: up to {frequency:.2g} rad/s, trial "
         "{trials[1]} has {measured:.2f} of the error of trial {trials[0]}; the model predicts "
-        "{predicted:.2f}, {bound:.2f} at most, and noise is less. Unless there was a new "
+        "{predicted:.2f}, {bound:.2f} at most{even}, and noise is less. Unless there was a new "
         "disturbance, the plant differs from the model: of the changes that this predicts, "
-        "{came:.2g} in {output} came; is a sensor or an actuator at its limit, exchanged or "
-        "reversed? Else measure P (shake), or expect this rate, if it is below one"
+        "{came:.2g} in {output} came; is a signal in another unit (y in m, r in mm), a sensor "
+        "dead, or a sensor or an actuator at its limit, exchanged or reversed? Else measure P "
+        "(shake), or expect this rate, if it is below one"
     ),
 }

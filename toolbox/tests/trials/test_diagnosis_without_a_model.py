@@ -1,5 +1,6 @@
 """Trials of a loop without a model are judged by the P that the law was designed for."""
 
+import re
 import warnings
 
 import control
@@ -10,16 +11,19 @@ from plants import RestartingModel, altered
 from ilctools import (
     ClosedLoop,
     Law,
+    NormOptimal,
+    load_law,
     measured_response,
     record,
     replay,
     rms,
     run_trials,
+    save_law,
     synthesise,
     transfer,
     zero_phase_butterworth,
 )
-from ilctools.trials.diagnosis import GRID, known_plants, largest_M
+from ilctools.trials.diagnosis import GRID, diagnose, known_plants, largest_M
 
 PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
@@ -95,3 +99,107 @@ def test_trials_that_differ_by_noise_alone_leave_v_uncertain():
     with pytest.warns(UserWarning, match="may be off by") as seen:
         assert len(repr(transfer(trials, -REFERENCE))) < 200
     assert len(seen) == 1
+
+
+CUTOFF = zero_phase_butterworth(2, 40.0, 0.01)
+OMEGA = np.geomspace(0.04, np.pi / 0.01, 200)
+
+
+def sampled(plant):
+    """Its response (frequency, output, input) on OMEGA."""
+    return np.moveaxis(plant(np.exp(0.01j * OMEGA), squeeze=False), -1, 0)
+
+
+def of_file(law, tmp_path):
+    """The law, saved and read, by which it forgets the plants of its design."""
+    save_law(tmp_path / "law.json", law)
+    return load_law(tmp_path / "law.json")
+
+
+LAWS = {
+    "model": lambda path: synthesise(PLANT, CUTOFF).law(),
+    "filter": lambda path: synthesise(PLANT, CUTOFF, order=20).law(),
+    "table": lambda path: synthesise(sampled(PLANT), CUTOFF, OMEGA, 0.01).law(),
+    "file": lambda path: of_file(synthesise(PLANT, CUTOFF).law(), path),
+    "norm-optimal": lambda path: Law(CUTOFF, NormOptimal(PLANT, 0.01, len(REFERENCE))),
+}
+
+
+@pytest.fixture(params=[*LAWS])
+def law_alone(request, tmp_path):
+    """A law that has a P, by any way to it, for a loop that has none."""
+    return LAWS[request.param](tmp_path)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1 / 25.4])
+def test_an_output_in_another_unit_than_the_reference_is_noticed(law_alone, unit):
+    """The reference in mm, y in m or inch: learning would take hundreds of trials."""
+    with pytest.warns(UserWarning, match="is a signal in another unit") as seen:
+        run = record(axis(unit), LOOP, law_alone, REFERENCE, trials=4)
+    [text] = [str(w.message) for w in seen]
+    assert text.startswith("after trial 3: the convergence rate") and "even if P is wrong" in text
+    came = float(re.search(r"of the changes that this predicts, (\S+) in x came", text)[1])
+    assert came == pytest.approx(unit, rel=0.05)  # two digits, and noise
+    assert rms(run).values[-1] > 0.8 * rms(run).values[0]
+
+
+@pytest.mark.parametrize("reset", [True, False])
+@pytest.mark.parametrize("stuck", [0.0, -40.0])
+def test_an_output_that_never_moves_is_named_after_the_first_trial(stuck, reset):
+    """Once, though it never moves in any trial; the other output, which does, is not named."""
+    two = control.append(PLANT, PLANT)
+    law = synthesise(two, CUTOFF, reach=None if reset else 50).law()
+    loop = ClosedLoop(Ts=0.01, outputs=["x", "y"], units={"x": "mm", "y": "mm"})
+    rig = RestartingModel(control.ss(two, inputs=loop.references), noise=0.002)
+    outputs = rig.read
+    rig.read = lambda: [outputs()[0], stuck]
+    task = rig, loop, law, np.column_stack([REFERENCE, REFERENCE])
+    with warnings.catch_warnings(record=True, action="always") as seen:
+        record(*task, trials=3, reset=reset, stop={"y": None})
+    [text] = [str(w.message) for w in seen if "never moves" in str(w.message)]
+    moves = np.std(control.forced_response(PLANT, inputs=REFERENCE).outputs)
+    assert text.startswith("after trial 1: y never moves in trial 1, where the model predicts")
+    assert float(re.search(r"movement of (\S+) \(RMS\)", text)[1]) == pytest.approx(moves, rel=0.01)
+    assert not any("not the predicted one" in str(w.message) for w in seen)
+
+
+def test_an_output_that_stands_still_as_it_should_or_within_its_resolution_is_not_dead():
+    """A reference at rest, and a sensor with steps of a millimetre."""
+    law = synthesise(PLANT, CUTOFF).law()
+    coarse, level = axis(), np.full(400, 5.05)
+    coarse.read = lambda: np.round(PLANT.C @ coarse.x)
+    rest = np.linalg.solve(np.eye(2) - PLANT.A, PLANT.B)[:, 0]
+    coarse.begin = lambda trial: setattr(coarse, "x", 5.05 * rest)
+    with warnings.catch_warnings(action="ignore"):
+        log = record(coarse, LOOP, law, level, trials=3)
+    assert np.all(log.y == 5) and log.v.values.any()
+    assert "dead" not in diagnose(log, law.bound_to(LOOP), first=1)
+
+
+SLOWER = control.ss(control.tf([256], [1, 16, 256])).sample(0.01)  # by a quarter
+FASTER = control.ss(control.tf([676], [1, 26, 676])).sample(0.01)  # by 30 %
+
+
+@pytest.mark.parametrize("plant", [0.75 * PLANT, 1.3 * PLANT, SLOWER, FASTER])
+def test_a_plant_that_is_wrong_by_a_quarter_and_converges_is_no_news(law_alone, plant):
+    rig = RestartingModel(control.ss(plant, inputs=["w1"]), noise=0.01)
+    with warnings.catch_warnings(action="error"):
+        run = record(rig, LOOP, law_alone, REFERENCE, trials=6)
+    assert rms(run).values[-1] < 0.1 * rms(run).values[0]
+
+
+def test_a_plant_is_judged_by_the_models_in_a_law_that_was_read(tmp_path):
+    """In the outputs' own units; not by those of a diagonal filter, which know no coupling."""
+    two = control.append(PLANT, 0.5 * PLANT)
+    coupled = control.ss(two.A, two.B, [[1, 0.4], [0.3, 1]] @ two.C, 0, 0.01)
+    plants, Q = [coupled, altered(coupled, B=1.2)], zero_phase_butterworth(2, 20.0, 0.01)
+    design = synthesise(plants, Q, scale=[1.0, 7.0])
+    known = known_plants(of_file(design.law(), tmp_path))
+    for P, plant in zip(known, plants, strict=True):
+        response, radius = P(OMEGA)
+        expected = sampled(plant)
+        np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        assert not radius.any()
+    diagonal = synthesise(coupled, Q, structure="diagonal")
+    assert len(known_plants(diagonal.law())) == 1
+    assert not known_plants(of_file(diagonal.law(), tmp_path))
