@@ -25,7 +25,7 @@ from ilctools.trials.diagnosis import diagnose
 
 COUNT, REPEATS = 1000, 20  # experiments that converge, and of each kind that does not
 SAMPLES = 400  # of a trial
-SHORT = {"growth": "it grows", "dead": "it never moves", "model": "not the model"}
+SHORT = {"growth": "it grows", "dead": "it does not move", "model": "not the model"}
 LOOPS = {  # a loop, the outputs' amplitudes, the cut-off of Q, and the order of L
     "stage": (plants.LOOPS["stage"](), [10.0], 60.0, 20),
     "tanks": (plants.LOOPS["tanks"](), [10.0, 5.0, 8.0], 0.05, 20),

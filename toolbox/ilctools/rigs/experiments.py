@@ -115,8 +115,8 @@ def record(
     UserWarning
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
         what it follows, if it has limits, once if v is learned within them; that started elsewhere
-        than the first; once, if the trials show that they do not converge, that an output never
-        moves, or that the plant is not the P of the loop or of the law, see
+        than the first; once, if the trials show that they do not converge, that an output does
+        not move, or that the plant is not the P of the loop or of the law, see
         :mod:`ilctools.trials.diagnosis`.
 
     See Also

@@ -383,9 +383,9 @@ WORDS = {
         "reference and v rest there"
     ),
     "dead": (
-        "{outputs} never moves in trial {trial}, where the model predicts a movement of "
+        "{outputs} did not move in trial {trial}, where the model predicts a movement of "
         "{moves:.3g} (RMS): is a sensor dead or not connected, or an actuator switched off? What "
-        "is learned from an output that never moves grows in each trial and lowers no error"
+        "is learned from an output that does not move grows in each trial and lowers no error"
     ),
     "model": (
         "{where}the convergence rate is not the predicted one: up to {frequency:.2g} rad/s, trial "

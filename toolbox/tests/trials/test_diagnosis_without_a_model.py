@@ -145,7 +145,7 @@ def test_an_output_in_another_unit_than_the_reference_is_noticed(law_alone, unit
 
 @pytest.mark.parametrize("reset", [True, False])
 @pytest.mark.parametrize("stuck", [0.0, -40.0])
-def test_an_output_that_never_moves_is_named_after_the_first_trial(stuck, reset):
+def test_an_output_that_does_not_move_is_named_after_the_first_trial(stuck, reset):
     """Once, though it never moves in any trial; the other output, which does, is not named."""
     two = control.append(PLANT, PLANT)
     law = synthesise(two, CUTOFF, reach=None if reset else 50).law()
@@ -156,9 +156,9 @@ def test_an_output_that_never_moves_is_named_after_the_first_trial(stuck, reset)
     task = rig, loop, law, np.column_stack([REFERENCE, REFERENCE])
     with warnings.catch_warnings(record=True, action="always") as seen:
         record(*task, trials=3, reset=reset, stop={"y": None})
-    [text] = [str(w.message) for w in seen if "never moves" in str(w.message)]
+    [text] = [str(w.message) for w in seen if "did not move" in str(w.message)]
     moves = np.std(control.forced_response(PLANT, inputs=REFERENCE).outputs)
-    assert text.startswith("after trial 1: y never moves in trial 1, where the model predicts")
+    assert text.startswith("after trial 1: y did not move in trial 1, where the model predicts")
     assert float(re.search(r"movement of (\S+) \(RMS\)", text)[1]) == pytest.approx(moves, rel=0.01)
     assert not any("not the predicted one" in str(w.message) for w in seen)
 
