@@ -14,6 +14,11 @@ EXACT = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ
 DRIFT = 0.01  # of Ts: by which the mean step may differ
 ROUNDING = 2e-3  # of the mean step: by which rounding may change it
+# In s. Clocks count from 1970, or 1904, or from the start of a program: none is in the year 5138.
+LATEST = 1e11
+YEAR = 365.25 * 86400  # s
+SINCE_1970 = 1e9, 1e10  # s: from September 2001 to 2286
+FINER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
 
 
 def steps_of(table: pd.DataFrame) -> pd.Series:
@@ -34,6 +39,26 @@ def seconds(unit: str) -> float:
     """How long a unit of time is; a ValueError for any other."""
     unit = re.sub("secs?$", "s", unit.replace("\u03bc", "\u00b5"))  # pandas knows one mu
     return pd.Timedelta(1, unit).total_seconds()
+
+
+def check_start(start: float, second: float) -> None:
+    """Refuse a clock, in s, that begins later than any does: its unit is another one.
+
+    `second` is the unit in which it was read, in s.
+    """
+    if abs(start) <= LATEST:
+        return
+    low, high = SINCE_1970
+    count = start / second
+    fitting = [unit for unit, size in FINER.items() if low <= count * size < high]
+    remedy = (
+        f"it seems to count {fitting[0]} since 1970: state units={{'time': {fitting[0]!r}}}"
+        if fitting
+        else "state its unit, as units={'time': 'ms'}, or subtract its first entry"
+    )
+    raise LogError(
+        f"time: the clock begins at {count:.13g}, which would be {start / YEAR:.3g} years; {remedy}"
+    )
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:

@@ -17,6 +17,7 @@ from ilctools.arguments import ROLES
 from ilctools.errors import LogError, reading, shortened
 from ilctools.files import regular
 from ilctools.logs.clock import check_trials, seconds
+from ilctools.logs.contents import text_in
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
 from ilctools.signals import dataset
 
@@ -44,7 +45,7 @@ def load_log(path) -> xr.Dataset:
     ------
     LogError
         The first thing that is wrong, with its metadata or its row: 0 is the first one below the
-        titles.
+        titles. A workbook of a spreadsheet program and text that is not UTF-8 are named as such.
 
     Warns
     -----
@@ -78,7 +79,10 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
     """As :func:`load_log`; if `ended`, without a warning of a last line that is torn."""
     with about(path):
         # a line that is whole has a line feed
-        *lines, torn = regular(path).read_text(encoding="utf-8-sig").split("\n")
+        file = regular(path)
+        remedy = "a program that opened the log may have saved it anew. Save it as UTF-8"
+        with text_in(file, None, remedy):
+            *lines, torn = file.read_text(encoding="utf-8-sig").split("\n")
         metadata = _metadata(lines)
         if metadata.get("format") not in FORMATS:
             raise LogError(
@@ -86,10 +90,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
                 "ilctools.read_table reads other tables, of which save_log makes logs, and "
                 "ilctools.load_law laws"
             )
-        with reading("Ts"):
-            value, unit = metadata["Ts"].split()
-            second = seconds(unit)
-            Ts = arguments.sampling_period("Ts", value_of(value) * second)
+        Ts, second = _period(metadata)
         with reading("signals"):
             signals = json.loads(metadata["signals"])
             check_signals(signals)
@@ -135,6 +136,19 @@ def _metadata(lines):
         if mark and key:
             metadata[key] = value
     return metadata
+
+
+def _period(metadata):
+    """The sampling period and the unit of time, both in s."""
+    note = metadata.get("Ts", "")
+    value, *unit = note.split() or [note]
+    if len(unit) != 1:
+        raise LogError(
+            f"metadata: Ts is {few(note)}, but must be a number and a unit, as '# Ts: 0.5 s'"
+        )
+    with reading("Ts"):
+        second = seconds(*unit)
+        return arguments.sampling_period("Ts", value_of(value) * second), second
 
 
 def value_of(entry) -> float:

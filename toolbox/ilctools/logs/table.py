@@ -11,7 +11,8 @@ from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.errors import LogError
 from ilctools.files import regular
-from ilctools.logs.clock import mean_step, seconds
+from ilctools.logs.clock import check_start, mean_step, seconds
+from ilctools.logs.contents import known_encoding, text_in
 from ilctools.logs.format import check_signals, few
 from ilctools.logs.reader import OPTIONS, about, numbers_in, trials_of
 from ilctools.signals import SIGNALS
@@ -56,8 +57,8 @@ def read_table(
     time : str or int, optional
         Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
         by default s, also of "millis"; or dates that pandas has parsed, as with the options
-        ``parse_dates=["t"], date_format="ISO8601"``. Without it, rows are `Ts` apart. State the
-        unit of a clock that counts from 1970: often it is ms, us or ns.
+        ``parse_dates=["t"], date_format="ISO8601"``. Without it, rows are `Ts` apart. A clock that
+        counts ms, us or ns from 1970 on needs its unit; as s it is refused.
     Ts : float, optional
         Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter;
         without `time` it is needed.
@@ -74,8 +75,8 @@ def read_table(
         that of time is converted.
     **options
         For :func:`pandas.read_csv`, if the file is not comma-separated below one line of titles:
-        ``sep=";"``, ``decimal=","``, ``skiprows``, ``encoding``, ... Numbers are read to the last
-        digit from pandas 3.1 on.
+        ``sep=";"``, ``decimal=","``, ``skiprows``, ``encoding="cp1252"``, ... Numbers are read to
+        the last digit from pandas 3.1 on.
 
     Returns
     -------
@@ -87,7 +88,8 @@ def read_table(
     ------
     LogError
         The first thing that is wrong with the table, with its column, and its row as pandas counts
-        them: 0 is the first one below the titles.
+        them: 0 is the first one below the titles. A workbook of a spreadsheet program and text in
+        an encoding other than `encoding`, by default UTF-8, are named as such.
 
     See Also
     --------
@@ -132,12 +134,21 @@ def read_table(
         if is_frame:
             frame, notes = pd.DataFrame(path, **options), {}
         else:
-            frame = pd.read_csv(regular(source), **OPTIONS | options)
+            frame = _frame_of(regular(source), options)
             notes = {"origin": f"read from {source.name}"}
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         Ts = arguments.sampling_period("Ts", Ts or mean_step(table))
         return trials_of(table, signals, Ts, notes)
+
+
+def _frame_of(file, options):
+    """What pandas reads of a text file."""
+    encoding = options.get("encoding")
+    if encoding is not None:
+        known_encoding(encoding)
+    with text_in(file, encoding, "pass read_table(..., encoding={encoding!r})"):
+        return pd.read_csv(file, **OPTIONS | options)
 
 
 def _signals(frame, asked, units):
@@ -186,4 +197,5 @@ def _clock(frame, trial, time, unit, Ts):
     if column.dtype.kind == "M":  # dates
         column, unit = (column - column.iloc[0]).dt.total_seconds(), "s"
     moment = seconds(unit) * numbers_in(column)
+    check_start(moment.iloc[0], seconds(unit))
     return number, moment - moment.groupby(number).transform("first")
