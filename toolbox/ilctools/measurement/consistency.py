@@ -16,6 +16,10 @@ other:
   u less half the gap times this sign comes out;
 - squares and cubes of the inputs, likewise, and of the simulated output: a curve, a dead zone.
 
+All of these are about P. The simulated output of the first hypothesis is the answer to the
+commanded inputs, and the inputs of the others are these. What a known disturbance does is in the
+simulated output whose squares and cubes are tested.
+
 What one gain more of each input explains is taken off beforehand: the prior makes gains too small,
 and of two levels squares and cubes are gains.
 
@@ -58,21 +62,21 @@ def contradictions(
 
     `reference`: whether the reference is in the record, or else u may follow y.
     """
-    m, parts = groups[0].u.shape[2], [name for group in groups for name in _parts(group)]
+    (m, inputs), parts = fit.channels, [name for group in groups for name in _parts(group)]
     # the columns of each
-    gains, sets = [*range(m)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
+    gains, sets = [*range(inputs)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
     g = fit.impulse(longest_of(groups)).T
-    last, n, level = m, fit.data.count.sum(), FALSE_ALARM / len(sets)
+    last, n, level = inputs, fit.data.count.sum(), FALSE_ALARM / len(sets)
     if fit.stable:
         q, J, power = _score(fit, groups, _columns(fit, groups, g, len(parts)))
         for name, k in sets.items():
             columns, last = [*range(last, last + k)], last + k
             more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
-            more, within = max(more, 0), columns[:1] if name in parts else gains
+            more, within = max(more, 0), columns[:1] if name in parts else gains[:m]
             off = np.sqrt(more / power[np.ix_(within, within)].sum())
             if off > SEEN and fdtrc(k, n, n * more / k / fit.posterior.rss) < level:  # (2)
                 yield name, off
-    if not reference and _at_once(fit, g, level):
+    if not reference and _at_once(fit, g[:, :m], level):
         yield FOLLOWS, 1.0
 
 
@@ -88,7 +92,7 @@ def _score(fit, groups, added):
     post, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
     (single, means), _ = products(groups, layout, added)  # of [X, y, columns]
     G = single + post.weight * means
-    gains = mean[:, None] * (layout.kind[:, None] == 1 + np.arange(groups[0].u.shape[2]))
+    gains = mean[:, None] * (layout.kind[:, None] == 1 + np.arange(fit.channels.all))
     Z = block_diag(gains, np.eye(len(G) - p)[:, 1:])
     across, power = G[:p] @ Z, Z.T @ G @ Z
     q = Z.T @ G[p] - mean @ across
@@ -105,13 +109,17 @@ def _columns(fit, groups, g, parts):
     """Z of each record, transposed, (column, time): of each part, and of other hypotheses."""
     first = 0
     for group in groups:
-        K, N, _ = group.u.shape
-        y = _through(g, group.u).sum(axis=2, keepdims=True)
-        own = np.concatenate([y, np.gradient(y, axis=1)], axis=2)  # another gain, another delay
+        K, N, m = group.u.shape
+        of_P = g[:, :m]
+        answer = _through(of_P, group.u).sum(axis=2, keepdims=True)
+        y = answer
+        if group.disturbance is not None:
+            y = answer + _through(g[:, m:], group.disturbance).sum(axis=2, keepdims=True)
+        own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
         own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
         own, *shared = (
             _through(fit.denominator[:, None], z - z[:, :1])
-            for z in (own, _through(g, _last_move(group.u)), _curve(g, group.u, y))
+            for z in (own, _through(of_P, _last_move(group.u)), _curve(of_P, group.u, y))
         )
         shared = contrasts(np.concatenate(shared, axis=2))
         of_parts = np.zeros((N, parts, 2))
@@ -141,7 +149,7 @@ def _last_move(u):
 
 
 def _at_once(fit, g, level):
-    """Whether y answers an input at once, as by -1 / C: relative to the sum of g."""
+    """Whether y answers a commanded input at once, as by -1 / C: relative to the sum of g."""
     layout, n = fit.data.layout, fit.data.count.sum()
     g = g[: 2 * layout.knots[0][-1]]  # slow parts answer later
     lags = (layout.c == 1)[:, None] & (layout.kind[:, None] == 1 + np.arange(g.shape[1]))

@@ -160,7 +160,8 @@ class EstimatedResponse(Measured):
         (1978) 705-714); a delay is states, too. A LogError if no order is enough.
         """
         radius, rows = self.radius(CONFIDENCE, jointly=True), min(ROWS, self.record.longest - 1)
-        impulse = self.units[..., None] * [fit.impulse(2 * rows + 1) for fit in self.fits]
+        of_all = [fit.impulse(2 * rows + 1) for fit in self.fits]  # known disturbances, too
+        impulse = self.units[..., None] * [g[: len(self.names[0])] for g in of_all]
         full, S = control.eigensys_realization(impulse, rows, rows, rows)
         inputs, outputs = self.names
 

@@ -11,6 +11,10 @@ in Frobenius norms: periods differ by noise alone, realisations also by what a l
 linear answers to other phases (R. Pintelon and J. Schoukens, System Identification, 2012, section
 4.3.1). P is the best linear approximation, the one that depends on no phases.
 
+*Known disturbances* of the log are not used. What they do is noise if it differs between periods,
+and counts as not linear if it differs between realisations only; both are in the radius. The
+regression (``of="w"``) takes them as inputs.
+
 *Variance.* The noise of (2) and (3) is that of gamma distributions; their logarithms are smoothed
 by straight lines over that of the frequency, through the nearest lines, where (2), and (3) relative
 to (2) and a share of P: so it may have the same resonances. Where a line's own is larger than

@@ -34,8 +34,9 @@ def measured_response(
     log : xarray.Dataset, list of them, or control.FrequencyResponseData
         A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
         from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
-        :func:`read_table`; several of one plant, of any lengths. Or a table of a frequency
-        response, which is splined between its lines.
+        :func:`read_table`; several of one plant, of any lengths. The known disturbances of a
+        record are inputs of its estimate, see Notes. Or a table of a frequency response, which is
+        splined between its lines.
     of : {"w", "u"}, optional
         Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
         Default: from w, if all records have a reference. If this or `delay` is given, a record of
@@ -58,8 +59,10 @@ def measured_response(
     ------
     LogError
         If a record of :func:`shake` lacks an experiment, or w is not the excitation; if an input or
-        an output never moved; of other records, if a trial has fewer than 20 samples, an output is
-        as exact as rounding or does not settle, or P is identified nowhere.
+        an output never moved, or moves by less than 1e-30 or more than 1e30 in its unit; of other
+        records, if a trial has fewer than 20 samples, an output does not settle, P is identified
+        nowhere, or a known disturbance moves exactly as inputs do. A record without noise is
+        accepted: rounding counts as its noise.
 
     Warns
     -----
@@ -93,13 +96,22 @@ def measured_response(
     with a weak mode below the noise, may lie outside more often, and so may a slow one at low
     frequencies, most if trials under learning have converged: record the first ones. See
     :mod:`ilctools.measurement.estimation` for the radius.
+    A log may have known disturbances: inputs that no loop commands and that were measured, such as
+    a third heater or the ambient temperature, by `disturbances` of :func:`read_table`. Each that
+    moves within a trial is one more input of the regression, with its own coefficients and its own
+    delay, which is searched for. P is the response to the commanded inputs alone, and what the
+    known disturbances did is no longer noise. Their units do not matter, nor do their offsets. A
+    log of several that lacks a disturbance counts as one in which it rests.
+
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Where a log names its loop and limits, w is what asks for what was applied; of others,
     leave out trials in which commands were cut off. Of commands in a loop whose reference is in the
     first log, y(t) depends on earlier u only, and else on u(t), too.
 
-    Shaken, P is the best linear approximation by the robust method: periods show the noise,
-    realisations of the phases the noise and what is not linear, and the radius has both; see
+    Shaken, P is the best linear approximation by the robust method, which takes no known
+    disturbances: what they do counts as noise, or, if it differs between realisations, as what is
+    not linear. With ``of="w"`` they are inputs of an estimate by regression. Periods show the
+    noise, realisations of the phases the noise and what is not linear, and the radius has both; see
     :mod:`ilctools.measurement.excited`. The first period of each experiment is left out. On three
     plants behind w + c w^3, c from 0 to 1, 1.4 to 5.2 % of the lines were outside their radius of
     95 %, with two realisations and with six, twice 40 draws of the phases each.

@@ -1,7 +1,13 @@
-"""Records of one plant, checked once: what an estimate is made of."""
+"""Records of one plant, checked once: what an estimate is made of.
+
+A log may hold other inputs of the plant, which no loop commands and which were measured: its
+`disturbance`. They are inputs of the estimate like the commanded ones, if they move. In a log that
+does not have one that another log has, this one counts as at rest, so that what it does is noise.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -17,6 +23,13 @@ from ilctools.signals import Signals, check_match, period_of
 
 FEWEST = 20  # samples of a trial
 AXES = "trial", "time", ...
+ROUNDING = 1e-12  # of its size: a disturbance that moves less is constant, but for rounding
+# Of its own moves: a disturbance that differs from moves of inputs by less is one of them. A log
+# has three or four digits of each.
+ALIKE = 1e-3
+# In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
+# most 1e240: a double still holds it. No quantity that a rig has is of such a size in SI units.
+LARGEST, SMALLEST = 1e30, 1e-30
 
 
 @dataclass(frozen=True)
@@ -31,6 +44,7 @@ class Record:
     direct: bool  # whether y(t) may depend on the inputs at t, or when the delay is over
     source: str  # the inputs: "w" or "u"
     loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the logs name none
+    disturbances: tuple[str, ...] = ()  # known ones, which move: further inputs of the estimate
 
     @classmethod
     def of(
@@ -46,19 +60,24 @@ class Record:
         loop = _loop_of(logs[0], source)
         inputs = loop.references if source == "w" else logs[0].control.values.tolist()
         first, *_ = named
-        u, y = zip(*(_moves(*pair, source) for pair in named.items()), strict=True)
+        moves = [_moves(*pair, source) for pair in named.items()]
+        u, y = [one.u for one in moves], [one.y for one in moves]
         remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
         check_moved(u, inputs, f"{first}.{source}", remedy)
         check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
         delay = _samples_of(matched("delay", delay, {INPUT: inputs}), len(inputs))
         sizes = _sizes(u), _sizes(y)
+        moving, known = _known_disturbances(moves)
+        if moving:
+            _check_apart(inputs, u, moving, known)
         alike = {}  # logs of one length are one: in all of them the same disturbance may repeat
-        for (name, log), x, z in zip(named.items(), u, y, strict=True):
-            trials = Trials(x / sizes[0], z / sizes[1], _titles(log, len(z), name))
+        for (name, log), x, z, d in zip(named.items(), u, y, known, strict=True):
+            titles = _titles(log, len(z), name)
+            trials = Trials(x / sizes[0], z / sizes[1], titles, d)
             alike.setdefault(len(z[0]), []).append(trials)
-        groups = [Trials(*map(np.concatenate, zip(*x, strict=True))) for x in alike.values()]
+        groups = tuple(_joined(trials) for trials in alike.values())
         direct = source == "w" or "reference" not in logs[0] or delay.min() > 0
-        return cls(tuple(groups), inputs, loop.outputs, sizes, delay, direct, source, loop)
+        return cls(groups, inputs, loop.outputs, sizes, delay, direct, source, loop, moving)
 
     @property
     def longest(self) -> int:
@@ -67,10 +86,67 @@ class Record:
 
     def __str__(self):
         trials = sum(len(group.y) for group in self.groups)
+        known = f"the known {', '.join(self.disturbances)}, " if self.disturbances else ""
         return (
             f"{trials} trials of up to {self.longest} samples, from {self.source} to y; assumed: y "
-            f"is moved by {self.source}, what repeats in all trials of a length, noise, drift only"
+            f"is moved by {self.source}, {known}what repeats in all trials of a length, noise, "
+            "drift only"
         )
+
+
+class _Moves(NamedTuple):
+    """What a log has, (trial, time, channel) each, from before each trial on."""
+
+    u: np.ndarray
+    y: np.ndarray
+    disturbance: dict[str, np.ndarray]  # (trial, time) each, by name
+
+    def moves(self, name: str) -> bool:
+        """Whether a disturbance moves within a trial."""
+        return bool(self.disturbance[name].any())
+
+
+def _joined(alike):
+    """Trials of one length as one group."""
+    known = [trials.disturbance for trials in alike]
+    return Trials(
+        u=np.concatenate([trials.u for trials in alike]),
+        y=np.concatenate([trials.y for trials in alike]),
+        names=tuple(name for trials in alike for name in trials.names),
+        disturbance=None if known[0] is None else np.concatenate(known),
+    )
+
+
+def _known_disturbances(moves):
+    """Names of the disturbances that move in any log, and their moves in each of them.
+
+    The moves are in units of their RMS, (trial, time, disturbance); None if nothing moves.
+    """
+    names = dict.fromkeys(name for one in moves for name in one.disturbance if one.moves(name))
+    if not names:
+        return (), [None] * len(moves)
+    known = []
+    for one in moves:
+        rest = np.zeros(one.y.shape[:2])
+        known.append(np.stack([one.disturbance.get(name, rest) for name in names], axis=2))
+    check_moved(known, names, "disturbance", "leave it out")
+    return tuple(names), [x / _sizes(known) for x in known]
+
+
+def _check_apart(inputs, u, moving, known):
+    """Refuse a known disturbance that is a sum of inputs: nothing shows which of them moved y."""
+    U, D = _about_their_means(u), _about_their_means(known)
+    U = U / np.linalg.norm(U, axis=0)
+    shares = np.linalg.lstsq(U, D, rcond=None)[0]
+    left = np.linalg.norm(D - U @ shares, axis=0) / np.linalg.norm(D, axis=0)
+    for name, rest, parts in zip(moving, left, shares.T, strict=True):
+        if rest < ALIKE:
+            as_which = np.array(inputs)[np.abs(parts) > ALIKE * np.abs(parts).max()]
+            raise LogError(
+                f"disturbance {name} moves as {', '.join(as_which)}: nothing shows which of them "
+                f"moved y. Leave it out, log.sel(source=log.source != {name!r}), or record while "
+                "they move apart"
+            )
 
 
 def _loop_of(log, source):
@@ -82,7 +158,7 @@ def _loop_of(log, source):
 
 
 def _moves(name, log, source):
-    """Inputs and outputs, from before each trial on."""
+    """Inputs, outputs and known disturbances, from before each trial on."""
     if source == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
     if source == "u" and "u" not in log:
@@ -99,9 +175,29 @@ def _moves(name, log, source):
     y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
     if len(y[0]) < FEWEST:
         raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
+    known = _disturbances_of(name, log, y.shape[:2])
     if RESET in log.attrs:  # trials go on where the last one ended: one record
         u, y, before = (signal.reshape(1, -1, signal.shape[2]) for signal in (u, y, before))
-    return u - before[:, :1], y - y[:, :1]
+        known = {source: signal.reshape(1, -1) for source, signal in known.items()}
+    with np.errstate(over="ignore"):  # which check_moved refuses
+        known = {source: _without_rounding(signal) for source, signal in known.items()}
+        return _Moves(u - before[:, :1], y - y[:, :1], known)
+
+
+def _without_rounding(signal):
+    """The moves (trial, time) from each trial's first sample on; zero if they are rounding."""
+    moves = signal - signal[:, :1]
+    return moves * (np.abs(moves).max() > ROUNDING * np.abs(signal).max())
+
+
+def _disturbances_of(name, log, shape):
+    """The known disturbances of a log, (trial, time) each, by name."""
+    if "disturbance" not in log:
+        return {}
+    signals = log.disturbance.transpose(*AXES).values
+    signals = arguments.array(f"{name}.disturbance", signals, (*shape, "source"))
+    names = arguments.different(f"{name}.source", log.source.values.tolist())
+    return dict(zip(names, np.moveaxis(signals, 2, 0), strict=True))
 
 
 def _titles(log, trials, name):
@@ -120,14 +216,31 @@ def _samples_of(delay, m):
 
 
 def check_moved(signals, names, what, remedy):
-    """Refuse signals, (trial, time, channel) of each record, of which one stands still."""
-    still = np.all([np.ptp(x, axis=1).max(axis=0) == 0 for x in signals], axis=0)
+    """Refuse signals, (trial, time, channel) of each record, one of which stands still.
+
+    A unit in which their moves are too large or too small for numbers is refused as well.
+    """
+    with np.errstate(over="ignore"):
+        each = [np.abs(x - x[:, :1]).max(axis=(0, 1)) for x in signals]
+    moves = np.max(each, axis=0)
+    still = moves == 0
     if still.any():
-        words = ", ".join(np.array(names)[still])
+        words = ", ".join(np.array([*names])[still])
         raise LogError(f"{what} of {words} never moved: {remedy}")
+    for name, most in zip(names, moves, strict=True):
+        if not SMALLEST <= most <= LARGEST:
+            raise LogError(
+                f"{what} of {name} moves by {most:.3g}: choose a unit in which it moves by "
+                f"{SMALLEST:g} to {LARGEST:g}"
+            )
 
 
 def _sizes(signals):
     """Root mean square of the moves of signals (trial, time, channel)."""
+    return np.sqrt(np.mean(_about_their_means(signals) ** 2, axis=0))
+
+
+def _about_their_means(signals):
+    """Signals (trial, time, channel) of each record less the mean of each trial, as one table."""
     moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
-    return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))
+    return np.concatenate(moves)

@@ -2,11 +2,15 @@
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-with A monic, B and A of as many lags as a quarter of the longest record, and e white with variance
-s^2: P = B / A. A start, which is not known, leaves a response as long; the line is an offset and a
-slope of each record, the drift a random walk. Beside its lags each B has slow parts
-x (1 - p) / (z - p) with time constants of the longest record and a third of it: what is small and
-far slower than the rest would else be taken for drift, and its error not be seen.
+The inputs u are those that were commanded, of which P is asked, and then the known disturbances,
+which were measured. A known disturbance has a B of its own, which is estimated like the others.
+
+A is monic, B and A have as many lags as a quarter of the longest record, and e is white with
+variance s^2: P = B / A, of the commanded inputs. A start, which is not known, leaves a response as
+long; the line is an offset and a slope of each record, the drift a random walk. Beside its lags
+each B has slow parts x (1 - p) / (z - p) with time constants of the longest record and a third of
+it: what is small and far slower than the rest would else be taken for drift, and its error not be
+seen.
 
 *Prior.* Coefficients decay and neighbours are alike, by the tuned-correlated kernel
 s^2 c exp(-max(i, j) / T), with one c for A, one for B, one for starts and one for drifts, and one T
@@ -56,14 +60,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
+from scipy.linalg import cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.special import diric, expit
-
-from ilctools.errors import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
 SLOW = np.array([1.0, 3.0])  # longest records in time constants of slow parts
@@ -91,14 +93,35 @@ HEAVY = 1.2  # tails of eta, relative to normal ones
 class Trials(NamedTuple):
     """Trials of the same length, in each of which the same disturbance may repeat."""
 
-    u: np.ndarray  # (trial, time, m), relative to before the trial
+    u: np.ndarray  # commanded inputs, (trial, time, m), relative to before the trial
     y: np.ndarray  # (trial, time, p), relative to the first sample
     names: tuple[str, ...]  # of the trials, in messages
+    # the known ones (trial, time, d), relative to the first sample; None if there are none
+    disturbance: np.ndarray | None = None
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """The commanded inputs, and after them the known disturbances, (trial, time, m + d)."""
+        if self.disturbance is None:
+            return self.u
+        return np.concatenate([self.u, self.disturbance], axis=2)
 
 
 def longest_of(groups: Sequence[Trials]) -> int:
     """Samples of the longest trial."""
     return max(group.y.shape[1] for group in groups)
+
+
+class Channels(NamedTuple):
+    """How many inputs records have."""
+
+    commanded: int  # of which P is asked
+    all: int  # with the known disturbances, which stand behind them
+
+    @classmethod
+    def of(cls, groups: Sequence[Trials]) -> "Channels":
+        """Those of any of the groups, as all have the same."""
+        return cls(groups[0].u.shape[2], groups[0].inputs.shape[2])
 
 
 @dataclass(frozen=True)
@@ -143,17 +166,21 @@ def _knots(first, last, close, step):
 def _layout(groups, direct, delays):
     longest, records = longest_of(groups), sum(len(group.y) for group in groups)
     m, reach, poles = len(delays), max(4, longest // SHARE), np.exp(-SLOW / longest)
-    past, moves = (_knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1))
+    past, at_once = (_knots(first, reach, CLOSE, STEP) for first in (1, 0))
+    commanded = Channels.of(groups).commanded
+    # A disturbance does not follow y: y(t) may depend on it at t, whatever the commands do.
+    moves = [at_once if direct or j >= commanded else past for j in range(m)]
     # An input that rested elsewhere before is still on its way until the latest delay.
     start, late = _knots(0, reach, CLOSE // 6, STEP // 2), delays.max()
     start = np.unique(np.append(0, late + start))
     starts = records if records * len(start) <= STARTS else 0
     inputs = range(1, m + 1)  # kind, c, knots; of slow parts and drifts D = c
-    blocks = [(0, 0, past), *((j, 1, moves) for j in inputs), *((j, 6, 0 * poles) for j in inputs)]
+    of_B = [(j, 1, own) for j, own in zip(inputs, moves, strict=True)]
+    blocks = [(0, 0, past), *of_B, *((j, 6, 0 * poles) for j in inputs)]
     blocks += [(m + 1, 2, start)] * starts + [(m + 2, 3, np.zeros(KNOTS))] * len(groups)
     kind, c, lag, gap = np.hstack([_of_block(*block) for block in blocks])
     lag[c == 2] = np.maximum(lag[c == 2] - late, 0)
-    knots = (past, *(moves + delay for delay in delays))
+    knots = (past, *(own + delay for own, delay in zip(moves, delays, strict=True)))
     return _Layout(kind, c.astype(int), lag, gap, knots, start, starts, poles)
 
 
@@ -202,7 +229,7 @@ def _regressors(groups, layout):
     starts = iter(starts.reshape(-1, len(layout.start)))
     for group, drift in zip(groups, drifts.reshape(len(groups), -1), strict=True):
         t, ends = np.arange(group.y.shape[1]), np.linspace(0, group.y.shape[1] - 1, KNOTS + 1)
-        signals = zip(contrasts(group.u), contrasts(group.y[..., 0]), strict=True)
+        signals = zip(contrasts(group.inputs), contrasts(group.y[..., 0]), strict=True)
         for k, (u, y) in enumerate(signals):
             dynamics = [lagged(x, at) for x, at in zip([-y, *u.T], layout.knots, strict=True)]
             others = np.zeros((len(c), len(t)))
@@ -277,13 +304,9 @@ def _posterior(eta, data):
     products = data.products[0] + weight * data.products[1]
     A = size[:, None] * products[:-1, :-1] * size
     A[np.diag_indices_from(A)] = A.diagonal() * (1 + 1e-12) + 1
-    try:
-        U = cholesky(A, check_finite=False)
-    except LinAlgError:
-        raise LogError(
-            "log is as exact as rounding, which cannot be distinguished from noise: is it "
-            "simulated, or constant? Add noise, as much as the sensors have"
-        ) from None
+    # Also without noise it is positive definite: what is added is more than Cholesky's rounding, a
+    # few hundred times 1e-16 of the diagonal.
+    U = cholesky(A, check_finite=False)
     h = solve_triangular(U, size * products[:-1, -1], trans=1, check_finite=False)
     power = products[-1, -1]
     return _Posterior(size, U, h, max(power - h @ h, 1e-14 * power), weight)  # rounding is noise
@@ -322,6 +345,7 @@ class _Fit(NamedTuple):
     eta: np.ndarray
     cost: float  # minus the logarithm of the posterior, of the delays, too
     data: _Normal
+    delays: np.ndarray  # of all inputs, samples
 
 
 def _fitted(groups, direct, delays, gain, first=FIRST):
@@ -337,8 +361,30 @@ def _fitted(groups, direct, delays, gain, first=FIRST):
         for eta in first
     ]  # fmt: skip
     found = min(searches, key=lambda search: search.fun)
-    rare = np.log(longest) * any(delays)  # before the data, any delay is as likely as another
-    return _Fit(found.x, found.fun + rare, data)
+    late = sum(delays[part].any() for part in _delayed_together(groups))
+    rare = np.log(longest) * late  # before the data, any delay is as likely as another
+    return _Fit(found.x, found.fun + rare, data, delays)
+
+
+def _delayed_together(groups):
+    """Inputs whose delays are searched for at once: all commanded ones; each disturbance alone."""
+    commanded, inputs = Channels.of(groups)
+    return [slice(commanded), *(slice(j, j + 1) for j in range(commanded, inputs))]
+
+
+def _with_delays(best, groups, direct, gain):
+    """The likeliest fit, or with delays that correlations show a likelier one."""
+    peaks = [_peaks(groups, differences) for differences in range(len(ROOM))]
+    for part in _delayed_together(groups):
+        before = best.delays
+        for peak, room in zip(peaks, ROOM, strict=True):
+            more = np.zeros_like(before)
+            more[part] = np.maximum(peak - before, 0)[part]
+            if more.max() >= LATE:
+                further = before + (room * more).astype(int)
+                late = _fitted(groups, direct, further, gain, [best.eta])
+                best = min(best, late, key=lambda fit: fit.cost)
+    return best
 
 
 def _polished(fit):
@@ -358,8 +404,9 @@ def _polished(fit):
 
 @dataclass(frozen=True)
 class Regression:
-    """P from m inputs to one output, and the error that it may have."""
+    """P from m commanded inputs to one output, and the error that it may have."""
 
+    channels: Channels
     mean: np.ndarray  # x, (unknown,)
     data: _Normal
     posterior: _Posterior  # for the likeliest hyperparameters
@@ -371,7 +418,12 @@ class Regression:
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """P at angles omega Ts, shape (n, m)."""
-        return self._ratio(*self.data.layout.waves(omega))[0]
+        return self._ratio(*self._waves(omega))[0]
+
+    def _waves(self, omega):
+        """Of A, and of each B of which P is asked."""
+        A, *B = self.data.layout.waves(omega)
+        return A, *B[: self.channels.commanded]
 
     def _ratio(self, A, *B):
         """P = B / A, and A."""
@@ -381,7 +433,7 @@ class Regression:
 
     def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of dP, real parts first, (n, 2 m, 2 m), and of dA / A, (2, n)."""
-        A, *B = self.data.layout.waves(omega)
+        A, *B = self._waves(omega)
         (P, below), kind = self._ratio(A, *B), self.data.layout.kind
         slopes = np.zeros((len(omega), len(B) + 1, len(kind)), complex)
         slopes[:, -1, kind == 0] = A / below[:, None]
@@ -406,7 +458,7 @@ class Regression:
         return bool(abs(np.angle(turns[1:] / turns[:-1]).sum()) < 1)
 
     def impulse(self, n: int) -> np.ndarray:
-        """Impulse response of the estimate over n samples, shape (m, n)."""
+        """Impulse responses over n samples to all inputs, (m + d, n): disturbances stand last."""
         poles, B = self.data.layout.poles, []
         for j, knots in enumerate(self.data.layout.knots[1:]):
             x, slow = np.split(self.of(1 + j, self.mean), [len(knots)])
@@ -418,20 +470,16 @@ class Regression:
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
     """Of one output; `direct`: whether y(t) may depend on u(t); what is known of P beforehand.
 
-    `delays`, (m,): of the inputs, at least; if correlations show more, also with that, from what is
-    estimated without. `gain`, (m,): P at rest.
+    `delays`, (m,): of the commanded inputs, at least; if correlations show more, also with that,
+    from what is estimated without. `gain`, (m,): P at rest.
     """
-    delays = delays + np.zeros(groups[0].u.shape[2], int)
-    best = _fitted(groups, direct, delays, gain)
-    for differences, room in enumerate(ROOM):
-        more = _peaks(groups, differences) - delays
-        if more.max() >= LATE:
-            further = delays + (room * np.maximum(more, 0)).astype(int)
-            late = _fitted(groups, direct, further, gain, [best.eta])
-            best = min(best, late, key=lambda fit: fit.cost)
+    channels = Channels.of(groups)
+    least = np.zeros(channels.all, int)  # of a known disturbance nothing is known beforehand
+    least[: channels.commanded] = delays
+    best = _with_delays(_fitted(groups, direct, least, gain), groups, direct, gain)
     best, S = _polished(best)
     at = _posterior(best.eta, best.data)
-    return Regression(at.mean, best.data, at, _covariance(best, S, at.mean))
+    return Regression(channels, at.mean, best.data, at, _covariance(best, S, at.mean))
 
 
 def _covariance(best, S, mean):
@@ -445,10 +493,10 @@ def _covariance(best, S, mean):
 
 
 def _peaks(groups, differences):
-    """Lags of largest correlation of each input, or of its moves, with the output, (m,)."""
+    """Lags of largest correlation of each input, or of its moves, with the output, (m + d,)."""
     longest, products = longest_of(groups), 0.0
     for group in groups:
-        signals = contrasts(np.concatenate([group.u, group.y], axis=2))
+        signals = contrasts(np.concatenate([group.inputs, group.y], axis=2))
         signals = np.diff(signals - signals.mean(axis=1, keepdims=True), differences, axis=1)
         spectra = np.fft.rfft(signals, 2 * longest, axis=1)
         products = products + np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
