@@ -197,5 +197,6 @@ def _clock(frame, trial, time, unit, Ts):
     if column.dtype.kind == "M":  # dates
         column, unit = (column - column.iloc[0]).dt.total_seconds(), "s"
     moment = seconds(unit) * numbers_in(column)
-    check_start(moment.iloc[0], seconds(unit))
+    if len(moment):
+        check_start(moment.iloc[0], seconds(unit))
     return number, moment - moment.groupby(number).transform("first")

@@ -112,7 +112,7 @@ def test_scale_and_offset_of_a_disturbance_do_not_count():
 @pytest.mark.parametrize("value", [0.0, 21.3])
 def test_a_disturbance_that_rests_in_each_trial_adds_nothing(value):
     """Also but for rounding, and if it rests elsewhere in the next trial."""
-    log = record_of(0)
+    log = record_of(0, size=0.0)  # nothing but w moves y
     bare = log.drop_vars("disturbance")
     rest = value + 0 * log.disturbance + 4e-15 * np.sin(np.arange(200))[None, :, None] * value
     estimate, plain = measured_response(log.assign(disturbance=rest)), measured_response(bare)
@@ -147,7 +147,8 @@ def test_a_disturbance_that_is_an_input_is_refused():
     twice[..., 1] = twice[..., 0]  # two sensors of one disturbance do no harm
     both = log.assign(disturbance=(log.disturbance.dims, twice))
     estimate, one = measured_response(both), measured_response(both.isel(source=[0]))
-    assert np.median(estimate.radius()) < 1.05 * np.median(one.radius())
+    # The prior of two copies together has twice the variance of one.
+    assert np.median(estimate.radius()) < 2**0.5 * np.median(one.radius())
 
 
 def test_a_disturbance_may_come_later_than_all_lags_reach():
