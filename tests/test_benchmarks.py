@@ -13,6 +13,7 @@ import pytest
 import regions
 import runner
 import survey
+import verdicts
 import watch
 import whole_way
 
@@ -60,6 +61,13 @@ def page(tmp_path, monkeypatch):
             [2, 1, ["P has 2 times the gain"]],
             r"\| furnace \| none \| 2 \| \d+ \| 0 \| 0\.00 \|"
             r".*gain \| not the model \| 1 \| 1 \| 3 \| 3 \|",
+        ),
+        (  # of our moves, of steeper ones, and of a draw that has ours or the steeper ones
+            "verdicts",
+            [[verdicts.Group(verdicts.of_trials, [{"steeper": {"steepness": 1.5}}], 1)]],
+            r"\| \[`monotone`\]\(ledger.md#monotone\) \| < 1 \| 0\.525"
+            r" \| 0\.525 to 0\.584 \| never \|"
+            r".*`full_little`.* \| > 0\.667 \| 0\.559 \| 0\.559 to 0\.67 \| steeper",
         ),
     ],
 )
