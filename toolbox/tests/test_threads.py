@@ -1,8 +1,12 @@
 """The synthesis runs on one thread of BLAS, whatever the user has."""
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event, Thread
+
 import numpy as np
 import pytest
 from paper import paper_choices
+from plants import lag
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from ilctools import synthesise
@@ -14,6 +18,23 @@ def threads():
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
+def set_threads(number):
+    """In a thread of its own that ends: threadpoolctl obeys the one that has set a limit last."""
+    setting = Thread(target=threadpool_limits, args=(number, "blas"))
+    setting.start()
+    setting.join()
+
+
+@pytest.fixture
+def two_threads():
+    before = max(threads())
+    set_threads(2)
+    if threads() != {2}:
+        pytest.skip("this BLAS has one thread")
+    yield
+    set_threads(before)
+
+
 def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
     np.ones((3, 3)) @ np.ones((3, 3))
     with threadpool_limits(2, "blas"):
@@ -22,6 +43,44 @@ def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
         with pytest.raises(ZeroDivisionError):
             on_one_thread(lambda: 1 / 0)()
         assert threads() == before
+
+
+@pytest.mark.parametrize("raises", [False, True])
+@pytest.mark.parametrize("first_ends_first", [False, True])
+def test_of_calls_that_overlap_the_last_restores(first_ends_first, raises, two_threads):
+    """Each way in which two calls may end; one of them may raise."""
+    began, may_end = ([Event(), Event()] for _ in range(2))
+
+    @on_one_thread
+    def call(k):
+        began[k].set()
+        assert may_end[k].wait(10)
+        found = threads()
+        if raises and k == 0:
+            raise ZeroDivisionError
+        return found
+
+    order = (0, 1) if first_ends_first else (1, 0)
+    with ThreadPoolExecutor(2) as pool:
+        running = []
+        for k in range(2):
+            running.append(pool.submit(call, k))
+            assert began[k].wait(10)
+        for k in order:
+            may_end[k].set()
+            if raises and k == 0:
+                assert isinstance(running[k].exception(10), ZeroDivisionError)
+            else:
+                assert running[k].result(10) == {1}
+        assert threads() == {2}  # while both threads of the pool live
+
+
+def test_two_designs_in_two_threads_leave_the_threads_as_they_were(two_threads):
+    plants = [lag(0.5), lag(0.8)]
+    alone = [synthesise(P).rate for P in plants]
+    with ThreadPoolExecutor(2) as pool:
+        assert [*pool.map(lambda P: synthesise(P).rate, plants)] == alone
+        assert threads() == {2}
 
 
 def test_the_digits_are_those_of_one_thread(loop, Q, omega, monkeypatch):
