@@ -34,6 +34,7 @@ WIDTH = 14  # points of the grid that `transform` takes for a frequency: one mor
 FARTHEST = 10**6  # samples that a filter may look ahead or back
 HIGHEST = 20  # order of Q: what is higher is a cut-off in the place of the order
 LONGEST = 10**7  # samples that the response of Q may last each way
+ANYWHERE = 1.0  # rad a sample: where a response is asked for its shape alone
 
 
 @dataclass(frozen=True)
@@ -400,8 +401,21 @@ def transform(coefficients, angles) -> np.ndarray:
     return np.exp(1j * (order // 2 + 1) * angles)[:, None, None] * response
 
 
-def check_learning(L: LearningOperator, channels: int, name: str = "L") -> None:
-    """Check that L is a learning operator for so many channels; a ValueError says so if not."""
+def check_learning(L: LearningOperator, channels: int | None = None, name: str = "L") -> None:
+    """Check that L makes as many signals as it takes errors, and so many if `channels` says so."""
     arguments.instance(name, L, LearningOperator)
-    if L.channels != channels:
+    if channels is not None and L.channels != channels:
         raise ValueError(f"{name} acts on {L.channels} channels, but must act on {channels}")
+    response = L.frequency_response(np.array([ANYWHERE / L.Ts]))
+    response = arguments.array(f"{name}.frequency_response", response, (1, "m", "p"), complex)
+    check_square(name, *response.shape[1:])
+
+
+def check_square(name: str, made: int, taken: int) -> None:
+    """Refuse an operator of a plant with other numbers of inputs and outputs."""
+    if made != taken:
+        inputs, outputs = f"{made} input{'s' * (made > 1)}", f"{taken} output{'s' * (taken > 1)}"
+        raise ValueError(
+            f"{name} is of a plant with {outputs} and {inputs}, but the law adds one signal to v "
+            "for each error: take a plant with as many inputs as outputs"
+        )

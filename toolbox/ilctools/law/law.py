@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ilctools import arguments
-from ilctools.filters import LearningOperator, ZeroPhaseButterworth
+from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning, check_square
 from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
@@ -85,9 +85,10 @@ class Law:
                 f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which runs in both "
                 "directions: zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
             )
-        for name, kind in {"L": LearningOperator, "loop": Loop}.items():
-            if getattr(self, name) is not None:
-                arguments.instance(name, getattr(self, name), kind)
+        if self.L is not None:
+            check_learning(self.L)
+        if self.loop is not None:
+            arguments.instance("loop", self.loop, Loop)
         check_match(Q=self.Q, L=self.L, law=self.labels, loop=self.loop)
         vars(self).update(
             rest=arguments.whole("rest", self.rest, 0),
@@ -145,7 +146,7 @@ class Law:
         v = arguments.in_columns("v", v, shape, self._names(v))
         v[samples - rest :] = 0
         if self.L is not None:
-            self.L.apply(np.zeros(shape))  # which one for other trials refuses, before any is run
+            self._made(np.zeros(shape))  # which one for other trials refuses, before any is run
         return v
 
     def next(self, v, e, u=None, applied=None) -> np.ndarray:
@@ -192,12 +193,18 @@ class Law:
         e = arguments.in_columns("e", e, v.shape, names)
         rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
         v, applied = self.applied(v, u, applied)
-        following = (1 - a) * v + a * self.Q.apply(v + self.L.apply(e))  # (23)
+        following = (1 - a) * v + a * self.Q.apply(v + self._made(e))  # (23)
         following[..., v.shape[-2] - rest :, :] = 0
         if self.actuators is not None:
             weight = getattr(self.L, "weight", WEIGHT)
             following = projected(self.loop, self.actuators, v, applied, following, weight, rest)
         return arguments.labelled_as(labelled, following, names)
+
+    def _made(self, e):
+        """L e, a signal for each error: numpy would copy a single one to all channels."""
+        made = self.L.apply(e)
+        check_square("L", made.shape[-1], e.shape[-1])
+        return made
 
     def _names(self, *signals):
         """Names of the channels; of a law without a loop, labels cannot be matched with L."""
