@@ -1,8 +1,10 @@
 /* The next trial's signal in C99, for a target without Python: v_{k+1} = Q (v_k + L e_k), (23).
 
    It reads a file of ilctools.save_law and, from the standard input, a line for each sample of the
-   trial with v and e of all channels; it prints the next v, a line for each sample. Of a trial that
-   breaks off it prints nothing; how many samples a whole one has, its caller may say.
+   trial with v and e of all channels; it prints the next v, a line for each sample. If a trial
+   breaks off, or if v, e, a number of the file or the next v is not finite, it prints nothing, says
+   why on the standard error and exits with 1. How many samples a whole trial has, its caller may
+   say.
 
        cc -std=c99 -O2 -ffp-contract=off law.c -lm -o law  &&  ./law law.json 2500 < trial > next
 
@@ -193,6 +195,10 @@ int main(int argc, char **argv)
         for (int p = 0; p < n; p++)
             v[p * m + i] = p < n - rest ? (1 - gain) * v[p * m + i] + gain * once[p] : 0;
     }
+    for (int p = 0; p < n * m; p++)  /* all of it before a part is printed: it moves actuators */
+        if (!isfinite(v[p]))
+            REFUSE("the next v is not finite in line %d: v or e is too large", p / m + 1);
     for (int p = 0; p < n * m; p++) printf("%.17g%c", v[p], p % m == m - 1 ? '\n' : ' ');
-    return fflush(stdout) || ferror(stdout);
+    if (fflush(stdout) || ferror(stdout)) REFUSE("the next v was not written as a whole");
+    return 0;
 }

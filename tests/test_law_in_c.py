@@ -5,6 +5,7 @@ import platform
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import control
 import numpy as np
@@ -128,6 +129,8 @@ def test_what_they_do_not_know_they_refuse(sanitized, law, tmp_path):
         ("1 2\n3 4\n5", "line 3 is no 2 numbers"),
         ("1 2\n3 4x\n5 6\n", "line 2 is no 2 numbers"),
         ("1 2\nnan 4\n", "line 2 is no 2 numbers"),
+        ("1 2\n3 -inf\n", "line 2 is no 2 numbers"),
+        ("1 2\n1e999 4\n", "line 2 is no 2 numbers"),
         ("1 2\n3 4", "line 2 is no 2 numbers, torn"),
         ("", "the trial has 0 samples"),
         ("1 2\n" * (1 << 17) + "1 2\n", "beyond what fits"),
@@ -139,6 +142,77 @@ def test_a_broken_trial_is_refused(program, tmp_path, trial, message):
     call = [program, tmp_path / "law.json", "2"]
     run = subprocess.run(call, input=trial, capture_output=True, text=True)
     assert run.returncode == 1 and message in run.stderr and not run.stdout
+
+
+LARGEST = np.finfo(float).max
+OVERFLOWS = {  # the law, v and e: in the sums of L, in v + L e, in Q, which overshoots
+    "L": ("the paper's", 0.0, 1e307),
+    "v + L e": ("one channel, slower", 0.9 * LARGEST, 0.9 * LARGEST),
+    "Q": ("order five", 0.999 * LARGEST, 0.0),
+}
+
+
+@pytest.mark.parametrize("where", OVERFLOWS)
+def test_a_v_that_overflows_is_refused_by_all(program, tmp_path, where):
+    """It goes to actuators: an exit code, one sentence, and nothing that looks like a signal."""
+    name, of_v, of_e = OVERFLOWS[where]
+    law, moving = LAWS[name], np.arange(200)[:, None] >= 100
+    v, e = (np.where(moving, value, 0.0) * np.ones(law.channels) for value in (of_v, of_e))
+    with pytest.raises(ValueError, match="v or e is too large"):
+        law.next(v, e)
+    save_law(tmp_path / "law.json", law)
+    trial = "\n".join(" ".join(map(repr, row)) for row in np.hstack([v, e]).tolist()) + "\n"
+    call = [program, tmp_path / "law.json"]
+    run = subprocess.run(call, input=trial, capture_output=True, text=True)
+    assert run.returncode == 1 and not run.stdout
+    assert re.fullmatch(r"law: the next v is not finite in line \d+: .*\n", run.stderr)
+    assert law.next(1e-9 * v, 1e-9 * e).any()  # what is large and does not overflow is learned
+
+
+@pytest.mark.parametrize("where", OVERFLOWS)
+def test_octave_refuses_a_v_that_overflows(tmp_path, where):
+    name, of_v, of_e = OVERFLOWS[where]
+    v, e = (np.full((200, LAWS[name].channels), value) for value in (of_v, of_e))
+    assert "law: the next v is not finite" in by_octave(LAWS[name], v, e, tmp_path)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "null"])
+@pytest.mark.parametrize("key", ["coefficients", "sections", "step"])
+def test_a_number_of_the_file_that_is_not_finite_is_refused(program, tmp_path, key, number):
+    path = tmp_path / "law.json"
+    save_law(path, LAWS["one channel, slower"])
+    text, count = re.subn(rf'("{key}": [\[\s]*)[^\[\],\s]+', rf"\g<1>{number}", path.read_text())
+    assert count == 1
+    path.write_text(text)
+    run = subprocess.run([program, path], input="1 2\n" * 9, capture_output=True, text=True)
+    assert run.returncode == 1 and not run.stdout and run.stderr.count("\n") == 1
+    if key != "sections":  # which Python does not read
+        with pytest.raises(ValueError, match="is not a law of save_law"):
+            load_law(path)
+
+
+def test_octave_refuses_a_file_with_a_number_that_is_missing(tmp_path, monkeypatch):
+    """`null` is NaN there, as NaN is."""
+    v, write = np.ones((20, 1)), save_law
+
+    def damaged(path, law):
+        write(path, law)
+        path.write_text(path.read_text().replace("0.25", "null"))
+
+    monkeypatch.setitem(globals(), "save_law", damaged)
+    found = by_octave(LAWS["one channel, slower"], v, v, tmp_path)
+    assert "numbers that are not finite" in found
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_a_v_that_could_not_be_written_is_no_success(program, tmp_path):
+    save_law(tmp_path / "law.json", LAWS["one channel, slower"])
+    with open("/dev/full", "w") as full:
+        call = [program, tmp_path / "law.json"]
+        run = subprocess.run(
+            call, input="1 2\n" * 9, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert run.returncode == 1 and run.stderr == "law: the next v was not written as a whole\n"
 
 
 @pytest.mark.parametrize("name", LAWS)

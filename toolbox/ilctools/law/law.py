@@ -181,7 +181,8 @@ class Law:
         Raises
         ------
         ValueError
-            If signals do not fit the law, or limits lack a loop or u.
+            If signals do not fit the law, or are so large that the next v is not finite, or if
+            limits lack a loop or u.
         RuntimeError
             If the solver fails.
         """
@@ -193,7 +194,9 @@ class Law:
         e = arguments.in_columns("e", e, v.shape, names)
         rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
         v, applied = self.applied(v, u, applied)
-        following = (1 - a) * v + a * self.Q.apply(v + self._made(e))  # (23)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+            learned = _finite(v + self._made(e))
+            following = _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
         following[..., v.shape[-2] - rest :, :] = 0
         if self.actuators is not None:
             weight = getattr(self.L, "weight", WEIGHT)
@@ -231,3 +234,13 @@ class Law:
         else:
             applied = arguments.in_columns("applied", applied, v.shape, commands)
         return self.loop.realised(v, u, applied), applied
+
+
+def _finite(signal):
+    """The signal; a ValueError if it overflowed, for it would go to actuators."""
+    if not np.isfinite(signal).all():
+        raise ValueError(
+            f"v or e is too large: the next v would exceed {np.finfo(float).max:.2g}. Check the "
+            "units, and whether the trials have diverged"
+        )
+    return signal
