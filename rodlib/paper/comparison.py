@@ -5,9 +5,14 @@ does not. So a printed number may differ by one unit of its last digit, whether 
 0.8833 or 0.8834, and a whole number above a thousand, which counts steps or samples, by a
 thousandth. In a picture an edge may move by a part of a pixel: each pixel must lie between the
 darkest and the lightest of the nine around its place in the other picture, and the other way round.
+
+The PDF of a figure has the same content as its PNG, drawn at the same time, but other bytes on
+another machine. It counts as the same if it is whole and has one page as large as the picture.
 """
 
 import re
+import struct
+import zlib
 from decimal import Decimal
 from pathlib import Path
 
@@ -18,6 +23,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 NUMBER = re.compile(r"((?<![\w.])[-+−]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:[eE][-+]?\d+)?)")
 LARGE = 1000  # from here on a whole number may be off by a thousandth
 PIXELS_PER_INCH = 200  # of the PNG files: the thinnest lines are two pixels wide
+POINTS_PER_PIXEL = 72 / PIXELS_PER_INCH
 LEVELS = 16  # of 255, which on a screen nobody sees
 
 
@@ -41,7 +47,52 @@ def same_number(one: str, other: str) -> bool:
 def different_figures(drawn: Path, before: Path) -> list[str]:
     """Names of the figures that were not drawn alike before, or not at all."""
     pairs = [(path, before / path.name) for path in sorted(drawn.glob("*.png"))]
-    return [path.stem for path, tracked in pairs if not same_picture(path, tracked)]
+    return [path.stem for path, tracked in pairs if not same_figure(path, tracked)]
+
+
+def same_figure(drawn: Path, tracked: Path) -> bool:
+    """Whether a PNG file shows what a tracked one shows, and the PDF beside that is whole."""
+    return same_picture(drawn, tracked) and whole_pdf(tracked.with_suffix(".pdf"), drawn)
+
+
+def whole_pdf(path: Path, picture: Path) -> bool:
+    """Whether a PDF file of Matplotlib's is whole and has one page, as large as a PNG file."""
+    try:
+        content = path.read_bytes()
+        with open(picture, "rb") as file:
+            width, height = struct.unpack(">II", file.read(24)[16:])  # where each PNG file says it
+        objects = _objects(content)
+    except (OSError, ValueError, IndexError, struct.error, zlib.error):
+        return False
+    pages = [text for text in objects if re.search(rb"/Type /Page\b", text)]
+    if len(pages) != 1 or (box := re.search(rb"/MediaBox \[([^]]+)\]", pages[0])) is None:
+        return False
+    size = np.array(box[1].split(), dtype=float)
+    pixels = np.array([0, 0, width, height])
+    return size.shape == (4,) and bool(np.all(np.abs(size / POINTS_PER_PIXEL - pixels) <= 1))
+
+
+def _objects(content):
+    """The objects of a PDF file, each found where its table says, all streams readable.
+
+    A ValueError, an IndexError or an error of zlib says that the file is damaged.
+    """
+    end = re.search(rb"startxref\s+(\d+)\s+%%EOF\s*\Z", content)
+    if end is None or not content.startswith(b"%PDF-"):
+        raise ValueError("the file has no beginning or no end")
+    table = content[int(end[1]) : end.start()].split(b"trailer")[0]
+    places = [int(line[:10]) for line in table.split(b"\n") if re.match(rb"\d{10} \d{5} n", line)]
+    objects = []
+    for start, stop in zip(sorted(places), [*sorted(places)[1:], int(end[1])], strict=True):
+        text = content[start:stop]
+        if not re.match(rb"\d+ 0 obj\b", text) or not text.rstrip().endswith(b"endobj"):
+            raise ValueError("an object is damaged")
+        head, found, rest = text.partition(b"stream\n")
+        if found and b"/FlateDecode" in head:
+            packed, _, _ = rest.rpartition(b"\nendstream")
+            zlib.decompress(packed)
+        objects.append(head)
+    return objects
 
 
 def same_picture(one: Path, other: Path) -> bool:

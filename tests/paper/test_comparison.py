@@ -1,15 +1,19 @@
 import re
 import shutil
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import nbformat
 import numpy as np
 import pytest
 from books import BOOKS, cells
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
 from nbformat import v4
 from nbval.plugin import IPyNbFile
 
-from rodlib.paper.comparison import NUMBER, PIXELS_PER_INCH, different_figures, same_text
+from rodlib.paper.comparison import NUMBER, PIXELS_PER_INCH, different_figures, same_text, whole_pdf
+from rodlib.paper.repository import ROOT
 
 PIXEL = 72 / 200 / 140  # in data: the axes are 140 points high
 TEXT = """rate at most 0.8833, proven at all frequencies; largest near 0.042 rad/s
@@ -89,6 +93,7 @@ def draw(folder, raised=0.0, label="rate 0.905", patch="0.94", width=360):
     axes.legend(loc="lower left")
     folder.mkdir()
     figure.savefig(folder / "fig01.png", dpi=PIXELS_PER_INCH)
+    figure.savefig(folder / "fig01.pdf")
     plt.close(figure)
     return folder
 
@@ -110,6 +115,54 @@ def before(tmp_path_factory):
 )
 def test_half_a_pixel_is_the_same_and_what_is_seen_is_not(before, tmp_path, changes, names):
     assert different_figures(draw(tmp_path / "drawn", **changes), before) == names
+
+
+def two_pages(path):
+    with PdfPages(path) as pages:
+        for _ in range(2):
+            pages.savefig(plt.figure(figsize=(360 / 72, 200 / 72)))
+    plt.close("all")
+
+
+def of_another_size(path):
+    Figure((361 / 72, 200 / 72)).savefig(path)
+
+
+def damaged_inside(path):
+    """A byte of the drawing, which is compressed, is another."""
+    content = bytearray(path.read_bytes())
+    content[content.index(b"stream\n") + 40] ^= 1
+    path.write_bytes(content)
+
+
+def shorter_inside(path):
+    """All bytes that follow are no longer where the table of the file says."""
+    path.write_bytes(path.read_bytes().replace(b"/CreationDate", b"/Date", 1))
+
+
+@pytest.mark.parametrize(
+    "damage", [Path.unlink, Path.touch, two_pages, of_another_size, damaged_inside, shorter_inside]
+)
+def test_a_pdf_that_is_not_whole_or_has_another_size_is_named(before, tmp_path, damage):
+    tracked = shutil.copytree(before, tmp_path / "tracked")
+    assert different_figures(before, tracked) == []
+    damage(tracked / "fig01.pdf")
+    assert different_figures(before, tracked) == ([] if damage is Path.touch else ["fig01"])
+
+
+def test_a_pdf_that_is_cut_anywhere_is_named(before, tmp_path):
+    tracked = shutil.copytree(before, tmp_path / "tracked")
+    content = (before / "fig01.pdf").read_bytes()
+    for kept in range(0, len(content) - 1, 97):
+        (tracked / "fig01.pdf").write_bytes(content[:kept])
+        assert not whole_pdf(tracked / "fig01.pdf", before / "fig01.png"), kept
+
+
+def test_all_tracked_figures_have_a_whole_pdf():
+    pictures = [path for path in ROOT.glob("figures/*.png") if path.stem != "workbench"]
+    assert len(pictures) > 40
+    for path in pictures:
+        assert whole_pdf(path.with_suffix(".pdf"), path), path
 
 
 def test_figures_that_come_or_cannot_be_read_are_named(before, tmp_path):

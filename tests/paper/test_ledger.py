@@ -9,8 +9,10 @@ import results
 from books import ROWS, cells
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from rodlib.paper import ledger, published
+from rodlib.paper.comparison import PIXELS_PER_INCH
 from rodlib.paper.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT
@@ -136,7 +138,8 @@ def root(tmp_path, monkeypatch):
 def draw(root, name, gray):
     folder = root / "figures"
     folder.mkdir(exist_ok=True, parents=True)
-    (folder / f"{name}.pdf").write_text(f"{gray} m\n")
+    page, metadata = Figure((2 / PIXELS_PER_INCH, 2 / PIXELS_PER_INCH)), {"Title": f"{gray}"}
+    page.savefig(folder / f"{name}.pdf", metadata=metadata)
     picture = np.full((2, 2, 3), gray, dtype=np.uint8)
     matplotlib.image.imsave(folder / f"{name}.png", picture)
 
@@ -176,8 +179,9 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     part.write_text(rows.replace(computed, "1000000000.0001"))  # a unit of the last digit
     draw(root / "build", "fig02", 120)
     assert publish(root, capsys) == "different: figures/fig02.pdf, figures/fig02.png"
-    pages = {path.stem: path.read_text() for path in root.glob("figures/*.pdf")}
-    assert pages == {"fig01": "100 m\n", "fig02": "120 m\n", "fig03": "100 m\n"}
+    paths = root.glob("figures/*.pdf")
+    pages = {path.stem: re.search(rb"/Title \((\d+)\)", path.read_bytes())[1] for path in paths}
+    assert pages == {"fig01": b"100", "fig02": b"120", "fig03": b"100"}
     assert publish(root, capsys) == "all is the same as before"
     assert not results.main(root / "build", root)
     part.write_text(rows.replace(computed, "1000000000.0002"))
@@ -186,6 +190,16 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     (root / "figures" / "ledger.md").write_text("other")
     assert results.main(root / "build", root)
     assert publish(root, capsys) == "different: figures/ledger.md"
+
+
+def test_a_pdf_that_is_cut_is_named_and_replaced(root, capsys):
+    """Its PNG is the same, so that the picture alone would not show it."""
+    publish(root, capsys)
+    cut = root / "figures" / "fig02.pdf"
+    cut.write_bytes(cut.read_bytes()[:-300])
+    assert results.main(root / "build", root)
+    assert publish(root, capsys) == "different: figures/fig02.pdf, figures/fig02.png"
+    assert publish(root, capsys) == "all is the same as before"
 
 
 @pytest.mark.parametrize("lack", ["not in index", "overlapping values", "no markers"])
