@@ -40,5 +40,13 @@ def main(seed: int) -> int:
         return subprocess.run(call, cwd=checkout, env=environment).returncode
 
 
+def seed_of(arguments: list[str]) -> int:
+    """The seed that was asked for, 1 without any; it leaves with a sentence if that is no seed."""
+    text = " ".join(arguments) or "1"
+    if not (text.isascii() and text.isdigit()):
+        sys.exit(f"SEED={text} must be a whole number from 0 on, as in: make machines SEED=2")
+    return int(text)
+
+
 if __name__ == "__main__":
-    sys.exit(main(*map(int, sys.argv[1:] or [1])))
+    sys.exit(main(seed_of(sys.argv[1:])))
