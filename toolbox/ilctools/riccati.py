@@ -39,10 +39,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtbtrs
 
-# Between two samples of which one is half as far again from the end, relative: S is then the
-# same for all samples before. Rounding moves S by some hundred units of 1e-16.
+# Relative change of S between one look and the next, which is half as far again from the end. S
+# grows ever more slowly: where its modes decay, by far less afterwards. Rounding moves it by 1e-14.
 STATIONARY = 1e-13
-FIRST_LOOK = 8  # samples from the end, at which S is compared for the first time
+FIRST_LOOK = 8  # samples from the end of the trial to the first look
 PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: it stays in the cache
 
 
