@@ -30,6 +30,8 @@ WORDS = {
     "sensitivity I - P is: P is the response from the reference, or v, to the output",
     "inverse": "P is near one at the lowest frequency, and its gain grows to {value:.3g} {place}, "
     "where its phase leads: is it the inverse of P?",
+    "below": "sigma_max(M) may reach {value:.4g} {place}, where P is not known well enough: errors "
+    "that slow may grow from trial to trial; measure P at lower frequencies, too",
     "idle": "the filter leaves {value:.0%} of the error that counts",
     "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
     "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",

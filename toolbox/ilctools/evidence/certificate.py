@@ -13,7 +13,16 @@ from ilctools.evidence.convergence import Convergence, from_responses, log_mean
 from ilctools.evidence.finite import settled_norm
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
-from ilctools.evidence.peak import CLOSE, DEAF, Peak, dense_grid, highest, peak_of_L, peaks_of_M
+from ilctools.evidence.peak import (
+    BELOW,
+    CLOSE,
+    DEAF,
+    Peak,
+    dense_grid,
+    highest,
+    peak_of_L,
+    peaks_of_M,
+)
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
@@ -27,7 +36,7 @@ from ilctools.singular_values import TIED, largest_singular_values
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
 VIOLATION = 1e-9
-BELOW = np.nextafter(1, 0)  # of one, which is no longer monotone
+BELOW_ONE = np.nextafter(1, 0)  # one is no longer monotone
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
 COARSE = 0.25
@@ -60,7 +69,8 @@ class Certificate:
     @property
     def peak(self) -> Peak:
         """The highest over all frequencies at which P is known."""
-        return highest([peak for how, peak in self.peaks.items() if how != "assumed"])
+        known = [peak for how, peak in self.peaks.items() if how not in ("assumed", BELOW)]
+        return highest(known)
 
     @property
     def all_M(self) -> float:
@@ -99,7 +109,7 @@ class Certificate:
         omega = np.concatenate([problem.omega, peaks, *grids])
         own = self._at(omega, plants)
         # what the eigenvalues do not have: what splines may miss, and what is assumed beyond
-        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1}
+        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1, BELOW: 1}
         unknown = [self.peaks[how].sigma >= least[how] for how in least.keys() & self.peaks]
         return Convergence(
             problem.omega,
@@ -160,7 +170,7 @@ class Certificate:
             claims.append((anywhere, Finding("L everywhere", self.all_L, L_max)))
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
         for how in codes.keys() & peaks:
-            claims.append((BELOW, Finding(codes[how], peaks[how].sigma, 1, at(peaks[how]))))
+            claims.append((BELOW_ONE, Finding(codes[how], peaks[how].sigma, 1, at(peaks[how]))))
         return [claim for times, claim in claims if claim.value > claim.limit * times]
 
     @property
@@ -176,6 +186,9 @@ class Certificate:
         if response.models[0] is None:
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
+        if BELOW in self.peaks and self.peaks[BELOW].sigma > BELOW_ONE:
+            below = f"below {problem.omega[0]:.4g} rad/s"
+            found.append(Finding("below", self.peaks[BELOW].sigma, 1, below))
         if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:
             found.append(Finding("idle", self.value / problem.idle, IDLE))
         code, known = ("between", problem.M_max) if self.proven else ("samples", self.grid_M)
@@ -206,6 +219,8 @@ class Certificate:
         near = self.grid.omega[self.worst.sigma >= 0.99 * peak.sigma]
         at = np.append(near, peak.omega).min()
         where = ", proven" if self.proven else f" {_span(problem.omega)}, estimated"
+        if BELOW in self.peaks:
+            where = f", estimated {_span(problem.omega)}"
         samples, norm = self.trial
         gains = [
             at_rest_in_words(problem.response),
@@ -214,6 +229,7 @@ class Certificate:
             f"sigma_max(L) {self.all_L:.3g}",
         ]
         gains += [f"norm of a trial of {samples} samples {norm:.3g}"] if samples else []
+        below = problem.response.below_in_words
         assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
         lines = [
             f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies{where}; largest "
@@ -227,6 +243,7 @@ class Certificate:
                 if how == DEAF
             ),
             *(text for text in problem.assumptions if text not in assumed),
+            *([f"{below}; from there on the rate is {self._rate_above():.4f}"] if below else []),
             *(["assumptions: .certificate.details"] if assumed else []),
         ]
         return "\n".join([*lines, *self._against()])
@@ -238,8 +255,8 @@ class Certificate:
         The peaks of sigma_max(M) are for all plants within the radius: on the grid, which holds
         omega and whatever needed bounds beside it; proven at all frequencies, of the plants that
         are models, without the radius; estimated on a dense grid from the first to the last of
-        omega; assumed above the last sample. Below the first sample nothing is known, nor of
-        resonances that none shows.
+        omega; assumed below the first sample and above the last one. Nothing is known of
+        resonances that no sample shows.
 
         The lower bound of the objective holds for any filter of this structure and order that
         keeps the bounds on that grid, where they are lower than asked for because of what lies
@@ -259,6 +276,10 @@ class Certificate:
         ]
         lines = [f"{value:<11.5g}{what}" for value, what in table]
         return "\n".join([*lines, *self._mean(), *problem.assumptions, *self._against()])
+
+    def _rate_above(self):
+        """The rate without what is assumed below the first sample."""
+        return highest([peak for how, peak in self.peaks.items() if how != BELOW]).sigma
 
     def _against(self) -> list[str]:
         """Warnings and failures."""

@@ -12,7 +12,8 @@ from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
-from ilctools.response.response import Response
+from ilctools.response.response import LOW, Response
+from ilctools.response.samples import Samples
 from ilctools.signals import Signals, check_match
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
@@ -54,7 +55,7 @@ def response_of(
     omega = arguments.increasing_frequencies("omega", omega, Ts)
     uncertainty = labels.matched("uncertainty", uncertainty, {labels.FREQUENCY: omega})
     plants = _matched(plants, omega, names)
-    known, assumptions = plants, ()
+    known, assumptions, low = plants, (), None
     if isinstance(P, Measured):
         if uncertainty is not None:
             raise ValueError(
@@ -64,6 +65,7 @@ def response_of(
         known = {"P": P.on(omega, CONFIDENCE)[0]}
         _, uncertainty = P.on(omega, CONFIDENCE, scale)
         assumptions = P.basis(omega, CONFIDENCE)
+        low = _continued(P, omega[0], scale)
     models, responses = _on_grid(known, omega, Ts)
     signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
     check_match(**signals, Q=Q, grid=Signals(Ts))
@@ -91,6 +93,7 @@ def response_of(
         assumptions=assumptions,
         measured=isinstance(P, Measured) and P.estimated,
         one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
+        low=low,
     )
 
 
@@ -100,6 +103,14 @@ def _is_one(loop, omega):
         return False
     [P] = loop.frequency_response(omega)
     return bool(np.linalg.norm(P - np.eye(len(P)), 2) < FROM_ONE)
+
+
+def _continued(measured, first, scale) -> Samples | None:
+    """A measured response from zero to the first frequency, if it says more than a table does."""
+    if not measured.estimated or first <= 0:
+        return None
+    omega = np.linspace(0, first, LOW)
+    return Samples(omega, *measured.on(omega, CONFIDENCE, scale))
 
 
 def named(P) -> dict:
@@ -247,9 +258,13 @@ def in_own_units(response: Response) -> Response:
     """A response in the plants' own units; its radius covers that in units of `scale`."""
     scale, radius = response.scale, response.radius
     models, P, _ = _in_units(1 / scale, response.models, response.P)
+    widest, low = scale.max() / scale.min(), response.low
     if radius is not None:
-        radius = radius * scale.max() / scale.min()
-    return replace(response, models=tuple(models), P=P, radius=radius, scale=np.ones(len(scale)))
+        radius = radius * widest
+    if low is not None:
+        low = Samples(low.omega, low.P * (scale[:, None] / scale), low.radius * widest)
+    one = np.ones(len(scale))
+    return replace(response, models=tuple(models), P=P, radius=radius, scale=one, low=low)
 
 
 def _refuse_other_units(omega, P, Ts):

@@ -23,7 +23,7 @@ class Measured:
     """
 
     findings = ()
-    estimated = True  # from a record, whose times give the frequencies their unit
+    estimated = True  # from a record, whose times give omega its unit; it says P at rest
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.
@@ -71,16 +71,24 @@ class Measured:
         return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
 
     def _on(self, omega, confidence):
-        """As :mod:`.samples` says; beyond the ends all that is not larger than there."""
+        """As :mod:`.samples` says; above the last line all that is not larger than there."""
         samples = self._samples(confidence)
         P, radius = samples.at(omega)
-        return P, radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
+        radius = radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
+        if (below := samples.outside(omega) & (omega < samples.omega[0])).any():
+            P[below], W, turned = samples.below(omega[below])
+            radius[below] = turned * np.linalg.norm(W, 2)
+        return P, radius
 
     def _between(self, omega, confidence):
         """What is assumed there, in words."""
         yield "assumed: splines miss P by no more than they miss lines that are left out"
-        if outside := np.mean(self._samples(confidence).outside(omega)):
-            yield f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there"
+        samples = self._samples(confidence)
+        outside, below = samples.outside(omega), omega < samples.omega[0]
+        if np.any(outside & below):
+            yield samples.below_in_words
+        if above := np.mean(outside & ~below):
+            yield f"assumed: above, at {above:.0%} of omega, P is not larger than at the last line"
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
         """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""

@@ -1,4 +1,4 @@
-"""Between the samples of a frequency response: splines, and by how much they may miss.
+"""Between the samples of a frequency response: splines, and by how much they may miss; and below.
 
 Samples run along cubic splines, their radius along straight lines. Measured grids are linear or
 logarithmic, plants smooth over one or the other: both run over omega or log omega, over that in
@@ -8,10 +8,23 @@ A spline misses P between its samples. By how much is estimated by what the spli
 sample misses of those left out, at twice the distance. The larger of what is missed at two
 neighbours, times 4 t (1 - t) from one to the other, is a radius, in which P lies if its resonances
 show in the samples; what the radius of the samples covers counts once.
+
+Below the first sample, at omega_1 > 0, P is not known, but for this: at rest it is real. So from
+there to omega_1 it moves by about its imaginary part. With x = omega / omega_1 it is taken to be
+
+    P(omega) = Re P(omega_1) + j x Im P(omega_1) + Delta Re P(omega_1),    ||Delta|| <= t,
+    t = sigma_max(Im P(omega_1) Re P(omega_1)^-1) + r sigma_max(Re P(omega_1)^-1),
+
+r the radius of the first sample. Of one channel the first part of t is the tangent of the phase,
+and Delta Re P is no larger than Im P; of several channels, t does not depend on the units of y,
+and a channel whose gain is small is not drowned by the others. From t = 1 on, the phase of 45
+degrees, the region contains singular plants, and the phase may have turned before: then P is
+anything that is not larger than at omega_1, and no filter has a sigma_max(M) below |Q| there.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,6 +33,14 @@ from ilctools.singular_values import largest_singular_values
 
 SAME = 1e-9  # relative: two frequencies that are nearer are the same
 FEWEST = 4  # samples of which every other one can be left out
+
+
+class Region(NamedTuple):
+    """P + Delta W, ||Delta|| <= radius, at some frequencies."""
+
+    P: np.ndarray  # (k, p, m), complex
+    W: np.ndarray  # (p or m, m)
+    radius: np.ndarray  # (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +76,49 @@ class Samples:
         t = (place - known[after - 1]) / (known[after] - known[after - 1])
         more = 4 * t * (1 - t) * np.maximum(self.missed[after - 1], self.missed[after])
         return CubicSpline(known, self.P)(place), self.radius_at(omega) + more
+
+    @cached_property
+    def turn(self) -> float:
+        """sigma_max(Im P Re P^-1) of the first sample; infinite if its real part is singular."""
+        first = self.P[0]
+        try:
+            return float(np.linalg.norm(np.linalg.solve(first.real.T, first.imag.T), 2))
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    @property
+    def known_below(self) -> bool:
+        """Whether the first sample says what P is below it: its phase is below 45 degrees."""
+        return self.turn < 1
+
+    @cached_property
+    def radius_below(self) -> float:
+        """The radius below the first sample, in units of P there."""
+        if not self.known_below:
+            return 2.0  # about a P of that size, all that is not larger
+        return self.turn + self.radius[0] / np.linalg.norm(self.P[0].real, -2)
+
+    @property
+    def below_in_words(self) -> str:
+        """What is assumed below the first sample."""
+        first = f"{self.omega[0]:.4g} rad/s"
+        if self.known_below:
+            return (
+                f"assumed: below {first} P is within {100 * self.radius_below:.2g} % of a straight "
+                f"line from P there to its real part at rest"
+            )
+        return (
+            f"assumed: below {first}, where P is not known, as its phase there is more than 45 "
+            "degrees, P is not larger than there, at any phase"
+        )
+
+    def below(self, omega) -> Region:
+        """What is assumed below the first sample, at some frequencies (k,)."""
+        real, imag = self.P[0].real, self.P[0].imag
+        P = real + 1j * imag * (omega / self.omega[0])[:, None, None]
+        size = np.linalg.norm(self.P[0], 2) + self.radius[0]
+        W = real if self.known_below else size * np.eye(real.shape[1])
+        return Region(P, W, np.full(len(omega), self.radius_below))
 
     def outside(self, omega) -> np.ndarray:
         """Which frequencies are beyond the ends, (k,), bool."""
