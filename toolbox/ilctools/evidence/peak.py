@@ -157,8 +157,9 @@ def estimated_peaks(problem: Problem, L, level, k):
         of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
         sigma = within_radius(P, Q, of_L, radius, level)
         if (low := response.unsampled(k, omega)).any():
-            P, W, radius = response.below(k, omega[low])
-            sigma[low] = within_radius(P, Q[low], of_L[low], radius, level, W)
+            region, Q, of_L = response.below(k, omega[low]), Q[low], of_L[low]
+            moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
+            sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
         return sigma
 
     omega = dense_grid(response, k, L)

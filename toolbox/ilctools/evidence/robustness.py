@@ -79,14 +79,12 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     return WorstCase(sigma.max(axis=0), pairs)
 
 
-def within_radius(P, Q, L, radius, level, W=None):
+def within_radius(P, Q, L, radius, level):
     """The worst case at each frequency, (n,), of P and L, (n, m, m), within a radius.
 
-    That is of all P + Delta W, ||Delta|| <= radius, with W = I by default.
     Exact from `NEAR` times the level on, an upper bound below.
     """
-    M, through = convergence_matrix(P, Q, L), L if W is None else W @ L
-    rho_L = (np.abs(Q) * radius)[:, None, None] * through
+    M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
     wider = largest_singular_values(rho_L) if np.any(radius) else np.zeros(len(M))
     sigma = largest_singular_values(M) + wider
     near = (sigma >= NEAR * level) & (wider > 0)

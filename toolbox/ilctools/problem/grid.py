@@ -3,6 +3,7 @@
 With steps of h at most in the phase of the poles of Q, P and L, see :mod:`.evidence.peak`, what is
 M_max cos(h / 2) at most on a grid is M_max at most between its frequencies, and so is L. Samples
 have no poles: between them the grid is DENSER than theirs, and as dense as the poles of L ask for.
+Below the first sample no bound on M is added: the certificate alone says what may happen there.
 """
 
 from dataclasses import replace

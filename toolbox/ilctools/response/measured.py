@@ -76,8 +76,8 @@ class Measured:
         P, radius = samples.at(omega)
         radius = radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
         if (below := samples.outside(omega) & (omega < samples.omega[0])).any():
-            P[below], W, turned = samples.below(omega[below])
-            radius[below] = turned * np.linalg.norm(W, 2)
+            region = samples.below(omega[below])
+            P[below], radius[below] = region.P, region.widest
         return P, radius
 
     def _between(self, omega, confidence):

@@ -66,8 +66,7 @@ class Response:
             P, radius = samples.at(omega)
             if (below := self.unsampled(plant, omega)).any():
                 region = self.below(plant, omega[below])
-                P[below] = region.P
-                radius[below] = region.radius * np.linalg.norm(region.W, 2)
+                P[below], radius[below] = region.P, region.widest
             if self.beyond is not None:
                 unknown = omega > self.omega[-1]
                 P[unknown], radius[unknown] = 0, self.beyond
@@ -86,7 +85,7 @@ class Response:
         if self.low is None:
             return self.samples[plant].below(omega)
         P, radius = self.low.at(omega)
-        return Region(P, np.eye(P.shape[-1]), radius)
+        return Region(P, np.eye(P.shape[-1]), 0.0, radius)
 
     @property
     def below_in_words(self) -> str | None:
@@ -96,7 +95,7 @@ class Response:
             return None
         if self.low is None:
             sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
-            return max(sampled, key=lambda samples: samples.radius_below).below_in_words
+            return max(sampled, key=lambda samples: samples.moves).below_in_words
         radius = self.low.at(np.linspace(0, first, LOW))[1].max()
         return (
             f"assumed: below {first:.4g} rad/s P is what the measured response says at rest and "
