@@ -78,7 +78,6 @@ class EstimatedResponse(Measured):
     Where the records say little, what was assumed before them makes the radius.
     """
 
-    says_rest = True  # A(z) y = B(z) u has a response there, and a region
     omega: np.ndarray  # rad/s, shape (n,)
     fits: tuple[Regression, ...]  # of each output
     record: Record

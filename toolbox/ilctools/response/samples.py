@@ -17,15 +17,16 @@ rest its real part is even and its imaginary part odd. So with x = omega / omega
     s = sigma_max((Re P(2 omega_1) - Re P(omega_1)) Re P(omega_1)^-1),
     t = sigma_max(Im P(omega_1) Re P(omega_1)^-1),
 
-r the radius of the first sample. A real part that moves as omega^2 moves by s / 3 below omega_1,
-that of a lag of first order by t^2; of one channel, t is the tangent of the phase. Delta Re P does
-not depend on the units of y, and a channel whose gain is small is not drowned by the others. From
-d = 1 on, at a phase of 45 degrees at the latest, singular plants are among these, and the phase may
-have turned before: then P is anything that is not larger than at omega_1, and no filter has a
-sigma_max(M) below |Q| there. With omega_1 at 1/1000, 1/100, 1/50, 1/20 and 1/10 of the cut-off 30,
-29, 28, 24 and 24 of 30 plants lie within; not where a slow part of little gain lies below. Only the
-certificate counts this region: bounds on M are not imposed there. Of 58 designs of a finite filter
-none passed M_max there by more than what no filter mends.
+r the radius of the first sample, and P(2 omega_1) the sample that is nearest to it, in proportion
+to omega^2; if that is above COARSE omega_1, d is t at least. A real part that moves as omega^2
+moves by s / 3 below omega_1, that of a lag of first order by t^2; of one channel, t is the tangent
+of the phase. Delta Re P does not depend on the units of y, and a channel whose gain is small is not
+drowned by the others. From d = 1 on, at a phase of 45 degrees at the latest, singular plants are
+among these, and the phase may have turned before: then P is anything that is not larger than at
+omega_1, and no filter has a sigma_max(M) below |Q| there. With omega_1 at 1/1000, 1/100, 1/50, 1/20
+and 1/10 of the cut-off 30, 29, 28, 24 and 24 of 30 plants lie within; not where a slow part of
+little gain lies below. Only the certificate counts this region: bounds on M are not imposed there.
+Of 58 designs of a finite filter none passed M_max there by more than what no filter mends.
 """
 
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ from ilctools.singular_values import largest_singular_values
 
 SAME = 1e-9  # relative: two frequencies that are nearer are the same
 FEWEST = 4  # samples of which every other one can be left out
+COARSE = 3  # times the first frequency: a next one above does not show how P moves about the first
 
 
 class Region(NamedTuple):
@@ -92,15 +94,17 @@ class Samples:
     @cached_property
     def moves(self) -> float:
         """d: by how much of it P may move below its first sample."""
-        (first, *_, last), P = self.omega, self.P[0]
-        octave = min(2.0, last / first)
-        [later], _ = self.at([octave * first])
-        real = 3 * (later.real - P.real) / (octave**2 - 1)  # in proportion, if there is no octave
+        (first, *others), P = self.omega, self.P[0]
+        later = 1 + np.abs(np.array(others) - 2 * first).argmin()
+        times = self.omega[later] / first
+        real = 3 * (self.P[later].real - P.real) / (times**2 - 1)  # as omega^2, if not by two
         try:
             s, t = (np.linalg.norm(np.linalg.solve(P.real.T, X.T), 2) for X in (real, P.imag))
         except np.linalg.LinAlgError:
             return np.inf
-        return float(min(s + t**2, t) if s <= t else s + t**2)
+        if s > t:
+            return float(s + t**2)
+        return float(t if times > COARSE else min(s + t**2, t))
 
     @property
     def known_below(self) -> bool:
