@@ -202,13 +202,11 @@ def _shortened(B, counts, farthest):
 
 
 def _faded(response, number, cutoff, omega):
-    """A plant at any frequency; samples are held below them, and faded out beyond Q's cut-off."""
+    """A plant at any frequency, of samples as known below; faded out beyond Q's cut-off."""
     if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
-    first, last = response.omega[[0, -1]]
-    P, _ = response.anywhere(number, np.clip(omega, first, last))
-    if first > 0:  # P is real at rest
-        P.imag *= np.minimum(omega / first, 1)[:, None, None]
+    last = response.omega[-1]
+    P, _ = response.anywhere(number, np.minimum(omega, last))
     if response.beyond is None:
         return P
     start = min(cutoff, 0.9 * last)

@@ -32,6 +32,15 @@ WORDS = {
     "where its phase leads: is it the inverse of P?",
     "below": "sigma_max(M) may reach {value:.4g} {place}, where P is not known well enough: errors "
     "that slow may grow from trial to trial; measure P at lower frequencies, too",
+    "narrow": "{place} decides the cut-off of Q: without that range it would be {value:.2g} rad/s "
+    "instead of {limit:.2g} rad/s. If P is not known well enough there, record longer or larger "
+    "moves; else pass Q with the higher cut-off, and look at the rate",
+    "little": "Q with cut-off {value:.4g} rad/s, {place}: next to nothing is learned, as P is too "
+    "uncertain there, or its plants differ: record longer or larger moves",
+    "halved": "Q with cut-off {limit:.4g} rad/s, half of what P admits, because there the norm of "
+    "a trial {place} is {value:.3g}: its ends might grow from trial to trial{remedy}",
+    "ends": "Q with cut-off {limit:.4g} rad/s, half of what P admits: norm of a trial {place} "
+    "{value:.3g}: its ends may grow from trial to trial{remedy}",
     "idle": "the filter leaves {value:.0%} of the error that counts",
     "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
     "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",
@@ -49,6 +58,7 @@ class Finding:
     value: float
     limit: float
     place: str = ""  # which plant and frequency
+    remedy: str = ""  # with its numbers, where these are known
 
     def __str__(self):
         return WORDS[self.code].format(**vars(self))

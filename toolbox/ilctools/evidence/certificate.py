@@ -177,7 +177,7 @@ class Certificate:
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
-        found, signals = [*problem.findings], response.signals
+        found, signals = [*problem.findings, *problem.costs], response.signals
         outputs = (signals.labels or [])[: problem.channels]
         units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and np.all(problem.scale == 1):

@@ -36,7 +36,8 @@ def pose(
     lowpass = lowpass_of(Q, response.omega)
     cutoff, chosen = lowpass.cutoff, []
     pooled = base == defaults.CHOOSE
-    gain = _gain(response, cutoff, close=pooled)
+    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
+    gain = _gain(response, lowpass, M_max, pooled)
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     structure = arguments.choice("structure", structure, ["diagonal", "full"])
@@ -157,7 +158,6 @@ def _of_band(omega, cutoff, band, summed, chosen):
 
 def _bounds(M_max, L_max, everywhere, gain, close, chosen):
     """The bounds on sigma_max(M) and on sigma_max(L), which may be None."""
-    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
@@ -167,12 +167,16 @@ def _bounds(M_max, L_max, everywhere, gain, close, chosen):
     return Bounds(M_max, L_max, arguments.flag("everywhere", everywhere))
 
 
-def _gain(response, cutoff, close):
-    """The default bound on L."""
+def _gain(response, lowpass, M_max, pooled):
+    """The default bound on L; `pooled` says that it decides b of L = B."""
+    omega, cutoff = response.omega, lowpass.cutoff
     # What is not known beyond its radius is not worth inverting.
     radius = 0 if response.radius is None else response.radius
     smallest = np.maximum(_smallest_singular_values(response, cutoff), radius)
-    return defaults.gain(cutoff, smallest, response.omega, close)
+    if not pooled:
+        return defaults.gain(cutoff, smallest, omega)
+    Q = np.abs(lowpass.frequency_response(omega))
+    return defaults.gain_of_base(cutoff, smallest, omega, Q, M_max)
 
 
 def _smallest_singular_values(response, cutoff):

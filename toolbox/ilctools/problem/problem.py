@@ -77,6 +77,7 @@ class Problem:
     structure: str = "full"  # or "diagonal"
     base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
     chosen: tuple[str, ...] = ()  # by default, in words
+    costs: tuple[Finding, ...] = ()  # of what was chosen, where they are large
 
     @property
     def M_max(self) -> float:

@@ -199,7 +199,7 @@ def _period(*systems):
 def frequencies(plants, Ts, Q=None) -> np.ndarray:
     """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
 
-    Of a measured plant the grid begins where it is known; without Q, as for the lowest cut-off.
+    Of a measured plant the grid begins where it is resolved; without Q, as for the lowest cut-off.
     """
     sampled = [plant for plant in plants if not isinstance(plant, Loop | control.LTI)]
     for plant in plants:
@@ -214,8 +214,19 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
             "cutoff, Ts), from whose cut-off a grid is chosen"
         )
     cutoff = LOWEST * np.pi / Ts if Q is None else Q.cutoff
-    known = [plant.omega[getattr(plant, "known", plant.omega > 0)][0] for plant in sampled]
-    return np.geomspace(max([cutoff / 10**DECADES, *known]), np.pi / Ts, FREQUENCIES)
+    first = max([cutoff / 10**DECADES, *(_first_of(plant, Q) for plant in sampled)])
+    return np.geomspace(first, np.pi / Ts, FREQUENCIES)
+
+
+def _first_of(measured, Q):
+    """The frequency from which on a measured response is asked.
+
+    That is where it is resolved, unless Q has its cut-off below.
+    """
+    omega = measured.omega
+    known = omega[getattr(measured, "known", omega > 0)][0]
+    resolved = omega[getattr(measured, "resolved", omega > 0)][0]
+    return known if Q is not None and Q.cutoff <= resolved else max(known, resolved)
 
 
 def _on_grid(plants, omega, Ts):

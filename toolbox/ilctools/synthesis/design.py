@@ -10,7 +10,9 @@ from ilctools import arguments
 from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
+from ilctools.evidence.finite import trial_norm
 from ilctools.filters import ZeroPhaseButterworth
+from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import pose, refuse_singular
 from ilctools.problem.problem import Problem, Solution
@@ -22,6 +24,7 @@ from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
+LONGEST_REST = 0.1  # of a trial: what may be given up at its end so that it does not grow
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 
 
@@ -77,13 +80,16 @@ def synthesise(
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
         Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
         where P reaches: the least singular value of all plants is a tenth of what it is at rest
-        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If the
-        norm of a trial of ten times the settling time, or of 1000 samples over all channels, is one
-        or more, half of that cut-off.
+        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If a
+        narrow range of frequencies decides, the certificate names it, and the cut-off without it.
+        If the norm of a trial of ten times the settling time, or of 1000 samples over all channels,
+        is one or more, half of that cut-off; the certificate then says by how many samples of rest
+        at the end of a trial, ``law(rest=...)``, the full cut-off can be had.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data, or the labels of P, Q or `uncertainty`; of
-        models and measured responses 1000 of them, from a thousandth of Q's cut-off on.
+        models and measured responses 1000 of them, from a thousandth of Q's cut-off on. Of an
+        estimate from records they begin where one period fits into the longest record.
     Ts : float, optional
         Sampling period, s; for arrays, of which none knows it.
     order : int, optional
@@ -95,12 +101,13 @@ def synthesise(
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float, None or "auto"
         Bound on sigma_max(L), unit of w per unit of y. Default: eight times the largest gain that
-        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times that at rest; if `base`
-        is a number or None, four times it, rounded up to one digit. It holds between
-        the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
-        filters then compete up to the gain that coefficients in doubles can hold,
-        :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
-        diverge: ask :func:`trial_norm`.
+        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times the largest that inverts
+        P up to a thirtieth of the cut-off, unless that left more than two thirds of M_max of the
+        error. If `base` is a number or None, it is four times the gain that inverts P up to Q's
+        cut-off, rounded up to one digit. It holds between the frequencies of a coarse grid, and up
+        to the Nyquist frequency, too. None leaves it out: filters then compete up to the gain that
+        coefficients in doubles can hold, :attr:`.Problem.weight`, and where they look beyond the
+        ends of a trial, trials often diverge: ask :func:`trial_norm`.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -161,10 +168,12 @@ def synthesise(
         For each of the certificate's `warnings`: bounds passed between the frequencies by a quarter
         of 1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to
         one there, a filter that leaves nearly all of the error, a Q that no filter can make up for
-        where P is not known. Samples that scatter as noise does are not noticed: without
-        `uncertainty` they count as exact. A table also warns if it ends where one in Hz does, just
-        below 1 / (2 Ts), if it begins at minus one, or if it looks like the sensitivity or the
-        inverse of a loop, see :mod:`.problem.plausible`.
+        where P is not known. Of a Q that is left out: a narrow range of frequencies that lowers its
+        cut-off to a half or less; a cut-off that is halved for the ends of a trial. Samples that
+        scatter as noise does are not noticed: without `uncertainty` they count as exact. A table
+        also warns if it ends where one in Hz does, just below 1 / (2 Ts), if it begins at minus
+        one, or if it looks like the sensitivity or the inverse of a loop, see
+        :mod:`.problem.plausible`.
 
     Raises
     ------
@@ -213,29 +222,60 @@ def synthesise(
 
 
 def without_Q(response, M_max, designed_with) -> Synthesis:
-    """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
+    """The design with the cut-off that P admits; with half of it, if a trial's ends might grow."""
     refuse_singular(response)
-    Ts, positive = response.Ts, response.omega[response.omega > 0]
-    lowest, highest = max(LOWEST * np.pi / Ts, positive[0]), reached(response, M_max)
-    for cutoff in (highest, highest / 2):
-        Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
-        design = designed_with(Q)
-        samples, norm = design.certificate.trial
-        if not norm >= 1:
-            break
-    text = f"Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
-    if Q.cutoff == lowest:
-        warnings.warn(
-            f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
-            "differ: record longer or larger moves",
-            stacklevel=4,
-        )
-    problem = replace(design.problem, chosen=(text, *design.problem.chosen))
-    certificate = replace(design.certificate, problem=problem)
+    limit, Ts = reached(response, M_max), response.Ts
+    lowest = max(LOWEST * np.pi / Ts, response.omega[response.omega > 0][0])
+
+    def with_cutoff(cutoff):
+        return designed_with(ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts))
+
+    first = design = with_cutoff(limit.omega)
+    _, norm = first.certificate.trial
     if norm >= 1:
-        text += f": norm of a trial of {samples} samples {norm:.3g}: its ends may grow"
-        warnings.warn(f"{text} from trial to trial", stacklevel=4)
-    return replace(design, certificate=certificate)
+        design = with_cutoff(limit.omega / 2)
+    cutoff = design.Q.cutoff
+    text, costs = f"Q with cut-off {cutoff:.4g} rad/s", []
+    if norm >= 1:
+        text += f", half of {first.Q.cutoff:.4g} rad/s, where the norm of a trial is {norm:.3g}"
+        costs.append(_cost_of_ends(first, design))
+    text += f", {limit.reason}"
+    if limit.decisive:
+        text += f": {limit.decisive} decides, without it {limit.without:.2g} rad/s"
+    if limit.costly:
+        costs.append(Finding("narrow", limit.without, limit.omega, limit.decisive))
+    if cutoff == lowest:
+        costs.append(Finding("little", cutoff, lowest, limit.reason))
+    problem = replace(design.problem, chosen=(text, *design.problem.chosen), costs=tuple(costs))
+    certificate = replace(design.certificate, problem=problem)
+    return replace(design, problem=problem, certificate=certificate)
+
+
+def _cost_of_ends(first, half) -> Finding:
+    """What the ends of a trial cost where they halve the cut-off, and what would mend them."""
+    samples, norm = first.certificate.trial
+    _, left = half.certificate.trial
+    if found := _rest_that_mends(first):
+        rest, mended = found
+        Q = f"zero_phase_butterworth({ORDER}, {first.Q.cutoff:.4g}, {first.Q.Ts:g})"
+        remedy = f". With {Q} as Q and law(rest={rest}) of that design, the norm is {mended:.2g}"
+    else:
+        remedy = ""
+    code, norm = ("ends", left) if left >= 1 else ("halved", norm)
+    return Finding(code, norm, half.Q.cutoff, f"of {samples} samples", remedy)
+
+
+def _rest_that_mends(design) -> tuple[int, float] | None:
+    """A number of samples at rest that takes the norm of a trial below one, and that norm."""
+    problem, L, (samples, _) = design.problem, design.certificate.filter, design.certificate.trial
+    for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
+        norm = max(
+            trial_norm(P, problem.lowpass, L, samples, rest=int(rest))[0]
+            for P in problem.response.models
+        )
+        if norm < 1:
+            return int(rest), norm
+    return None
 
 
 def designed(problem: Problem, base) -> Synthesis:
