@@ -183,7 +183,7 @@ class Certificate:
         if len(units) > 1 and np.all(problem.scale == 1):
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
         found += self._doubts
-        if response.models[0] is None:
+        if response.models[0] is None and response.low is None:  # else signals say what leads
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
         if BELOW in self.peaks and self.peaks[BELOW].sigma > BELOW_ONE:

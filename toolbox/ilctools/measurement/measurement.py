@@ -103,6 +103,11 @@ def measured_response(
     known disturbances did is no longer noise. Their units do not matter, nor do their offsets. A
     log of several that lacks a disturbance counts as one in which it rests.
 
+    A record of T seconds resolves frequencies from 2 pi / T on, of which a period fits into it.
+    Below, it cannot tell a slow motion from a drift. An estimate has a response and a radius there,
+    but :func:`synthesise` chooses cut-off and filter from 2 pi / T on, and then says what the
+    filter may do below.
+
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Where a log names its loop and limits, w is what asks for what was applied; of others,
     leave out trials in which commands were cut off. Of commands in a loop whose reference is in the

@@ -13,7 +13,7 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import LOW, Response
-from ilctools.response.samples import Samples
+from ilctools.response.samples import SAME, Samples
 from ilctools.signals import Signals, check_match
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
@@ -226,7 +226,8 @@ def _first_of(measured, Q):
     omega = measured.omega
     known = omega[getattr(measured, "known", omega > 0)][0]
     resolved = omega[getattr(measured, "resolved", omega > 0)][0]
-    return known if Q is not None and Q.cutoff <= resolved else max(known, resolved)
+    below = Q is not None and Q.cutoff < resolved * (1 - SAME)
+    return known if below else max(known, resolved)
 
 
 def _on_grid(plants, omega, Ts):

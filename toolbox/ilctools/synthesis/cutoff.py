@@ -5,9 +5,9 @@ largest if P passes nothing there, P reaches up to the frequency omega_1 where
 
     sigma(omega) < REACHED sigma_0.
 
-Beyond, what L gains is noise and what the model does not know. L is then bounded by
-STATIC / sigma_0. The plants P_k agree as far as the quadratic law B of all of them, with that
-bound, leaves |Q| d <= M_max, with what is left without Q,
+Beyond, what L gains is noise and what the model does not know. The bound on L will follow from the
+cut-off, and is STATIC / sigma_0 at least. The plants P_k agree as far as the quadratic law B of all
+of them, with that bound, leaves |Q| d <= M_max, with what is left without Q,
 
     d = max_k sigma_max(I - P_k B) + r sigma_max(B),
 
@@ -15,9 +15,11 @@ r their radius. Of the Butterworth filter of order 2, Q = 1 / (1 + x^4) with
 x = tan(omega Ts / 2) / tan(cutoff Ts / 2), so that this is x >= (d / M_max - 1)^(1/4): one cut-off
 for each frequency, and the least of them counts. There is nothing to search.
 
-So a single frequency may decide. The frequencies beside it at which P is as weak, or as little
-known, belong to it. If P is strong and known again above them, they are a range whose price can be
-named: the cut-off that would follow without them.
+Which frequencies are asked is decided before: of an estimate from records, those of which a period
+fits into a record, see :attr:`.EstimatedResponse.resolved`. Among these a single one may decide.
+The frequencies beside it at which P is as weak, or as little known, belong to it. If P is strong
+and known again above them, they are a range whose price can be named: the cut-off that would follow
+without them.
 """
 
 from typing import NamedTuple
