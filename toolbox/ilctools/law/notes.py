@@ -9,10 +9,11 @@ from dataclasses import fields
 from functools import partial
 
 import control
+import numpy as np
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.base import RegularisedInverse
+from ilctools.base import RegularisedInverse, isometry
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import keep_others, regular, write_whole
 from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
@@ -95,7 +96,16 @@ def _filter_note(L):
     note = {"coefficients": K.coefficients, "ends": K.ends}
     if K.first == 1 and B is None:
         return note
-    return note | {"first": K.first, "base": B and {"b": B.b, "scale": B.scale, "P": B.P}}
+    return note | {"first": K.first, "base": B and _base_note(B)}
+
+
+def _base_note(B):
+    """A base, with E where it does not follow from the shape of P."""
+    note = {"b": B.b, "scale": B.scale, "P": B.P}
+    copies, rest = divmod(B.P.noutputs, B.channels)
+    if not rest and np.array_equal(B.E, isometry(copies, B.channels)):
+        return note
+    return note | {"E": B.E}
 
 
 def _law_from(Ts, Q, L, rest, step, actuators):

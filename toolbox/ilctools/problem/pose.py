@@ -68,9 +68,8 @@ def _base(response, lowpass, structure, share, L_max, reach):
         b = share * largest_singular_values(response.P[0, below]).max()
         models, why = response.models[:1], f"{share:g} of its largest gain"
     exact = reach is None and None not in models and any(P.nstates for P in models)
-    if exact and pooled:
-        exact = sum(P.nstates for P in models) <= STATES
-    base = base_of_models(models, b, structure) if exact else None
+    most = STATES if pooled else np.inf
+    base = base_of_models(models, b, structure, most) if exact else None
     if base is None and (pooled or not exact):
         base = base_of_samples(response, lowpass, b, reach, len(models), structure)
     if base is None:
