@@ -48,7 +48,7 @@ from ilctools.models import (
     minimal_realisation,
     sampled_plant,
 )
-from ilctools.pooled import Pooled, isometry, pooled
+from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
 NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
@@ -188,8 +188,11 @@ def in_units(L, scale):
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
     """B of models, diagonal if asked for; None if it has too many states or rounding hides it."""
     try:
-        P, E = _of_all(models, b, structure)
-        if P.nstates > most:
+        for change in CHANGES:
+            P, E = _of_all(models, b, structure, change)
+            if P.nstates <= most:
+                break
+        else:
             return None
         base = RegularisedInverse(P, b, np.ones(P.ninputs), E)
         return base if len(base.poles) else None  # which rounding may decide
@@ -197,15 +200,15 @@ def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | No
         return None
 
 
-def _of_all(models, b, structure) -> Pooled:
+def _of_all(models, b, structure, change) -> Pooled:
     """P and E of all models; of a diagonal B, each channel by itself."""
     if structure != "diagonal":
-        return pooled(models, b)
+        return pooled(models, b, change)
     channels = []
     for i in range(models[0].ninputs):
         # a channel without what other inputs do to its output
         alone = [minimal_realisation(P[i, i], [P.input_labels[i]]) for P in models]
-        channels.append(pooled(alone, b))
+        channels.append(pooled(alone, b, change))
     return Pooled(control.append(*(P for P, _ in channels)), block_diag(*(E for _, E in channels)))
 
 

@@ -17,7 +17,7 @@ columns of [C, D]: P* P and P* E, which is all that B needs, remain. So P keeps 
 [C, D] has columns.
 
 If P has an error of d, then to first order B differs by 5 d / (4 b^2) at most, and M by that times
-sigma_max(P). So d is chosen for a change of M by `CHANGE`, and then compared at many frequencies.
+sigma_max(P). So d is chosen for a small change of M, and then compared at many frequencies.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,8 @@ from ilctools.models import balanced, frequency_response
 from ilctools.singular_values import largest_singular_values
 
 GROUP = 8  # models that are joined at a time: of 200, two take 1.6 times and 32 twice as long
-CHANGE = 1e-9  # of M, for which states are left out: the last digit that certificates compare
+CHANGES = 1e-9, 1e-5  # of M, for which states are left out; the second if too many remain, as a
+# finite filter in the place of B would change M by 1e-4
 DOUBLINGS = (
     50  # at most, of the terms of a Gramian: a pole within 1e-14 of the circle rings so long
 )
@@ -51,8 +52,8 @@ def isometry(copies, m) -> np.ndarray:
     return np.tile(np.eye(m), (copies, 1)) / np.sqrt(copies)
 
 
-def pooled(models, b) -> Pooled:
-    """P and E of several models, with so few states that M changes by `CHANGE` at most.
+def pooled(models, b, change) -> Pooled:
+    """P and E of several models, with so few states that M changes by `change` at most.
 
     If the comparison at many frequencies says otherwise, all states are kept.
     """
@@ -62,7 +63,7 @@ def pooled(models, b) -> Pooled:
     omega = _frequencies(models)
     P = np.array([frequency_response(model, omega) for model in models])
     size = max(map(np.max, map(largest_singular_values, P)))
-    error = CHANGE * b**2 / (1.25 * size)
+    error = change * b**2 / (1.25 * size)
     share = 1 / np.sqrt(count)
     groups = [Pooled(model * share, np.eye(m) * share) for model in models]
     while len(groups) > 1:
