@@ -4,7 +4,9 @@ The plants P_k, each divided by sqrt(p), are driven by the same inputs. Copies o
 differ in gain alone have all of their states in common, and plants that are alike have most of
 them. With the factors of the two Gramians of the stacked model,
 
-    X X^T = sum over k of A^k B B^T A^kT,    Y Y^T = sum over k of A^kT C^T C A^k,    Y^T X = U S V^T,
+    X X^T = sum over k of A^k B B^T A^kT,    Y Y^T = sum over k of A^kT C^T C A^k,
+
+and Y^T X = U S V^T,
 
 the states S^(-1/2) U^T Y^T x are balanced. Without those of the least singular values in S, the
 response differs by twice the sum of these values at most: K. Glover, International Journal of

@@ -104,16 +104,17 @@ def margins(problem: Problem, L) -> Margins:
 def limit(peaks: list[Callable], steps) -> float:
     """How far from the first of some steps all peaks stay below one; the last if there, too."""
     start, last = steps[0], steps[-1]
+    way = np.sign(last - start)
     for peak in peaks:
 
-        def excess(distance, peak=peak, way=np.sign(last - start)):
+        def excess(distance, peak=peak):
             return peak(start + way * distance) - ONE
 
         # of a further plant only what is less than the limit of those before
         nearer = np.abs(steps - start)
         nearer = np.append(nearer[nearer < abs(last - start)], abs(last - start))
         distance = _first_root(excess, nearer)
-        last = start + np.sign(last - start) * distance
+        last = start + way * distance
     return float(last)
 
 

@@ -1,8 +1,8 @@
 """The largest norm of a trial among several plants, without finding all of these norms.
 
-The map of a trial of plant k is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. Q and L are
-the same for all plants. So L_N is made a matrix once, and the Lanczos iteration on T_k^T T_k runs for
-many plants at the same time. After j steps from a random start, the largest eigenvalue of a
+The map of a trial of plant k is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. Q and L
+are the same for all plants. So L_N is made a matrix once, and the Lanczos iteration on T_k^T T_k
+runs for many plants at the same time. After j steps from a random start, the largest eigenvalue of a
 symmetric, positive semidefinite matrix of size n is above theta / (1 - eps), where theta is the
 largest Ritz value, with a probability of at most
 
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ilctools.base import RegularisedInverse
-from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import Composition, Filter, ZeroPhaseButterworth
 from ilctools.models import impulse_response
 
 TOGETHER = 32  # plants of which the iteration runs at the same time: 64 take as long for each

@@ -7,7 +7,7 @@ import control
 import numpy as np
 import pytest
 from plants import STAGE_WITH_MODES as STAGE
-from plants import random_stable
+from plants import lag
 
 from ilctools import frequency_response, synthesise, zero_phase_butterworth
 from ilctools.evidence.margins import GAINS, RADII, TIMES, TURN, highest, inwards
@@ -19,6 +19,8 @@ SEEDS = range(36)
 # The exact limit is within so much of the distance: splines of P and L miss M by 1e-3 of its crest
 # at most, and M rises from its least to one, at a margin, over the distance
 NEAR = 0.02
+# of two tables, whose samples show too little of a mode; margins are those of the splines
+COARSE = pytest.mark.filterwarnings("ignore:sigma_max.* between the frequencies omega")
 
 
 def resonant(seed, channels=1, modes=1, delay=0):
@@ -102,6 +104,7 @@ def peak_of(design, model):
     return peak
 
 
+@COARSE
 @pytest.mark.parametrize("seed", SEEDS)
 def test_margins_of_plants_with_antiresonances_hold_just_inside_and_no_farther(seed):
     model, design = designed(seed)
@@ -128,6 +131,7 @@ def test_margins_of_plants_with_antiresonances_hold_just_inside_and_no_farther(s
     assert checked >= 3 and none == 0
 
 
+@COARSE
 @pytest.mark.parametrize("seed", SEEDS)
 def test_design_check_says_the_same_of_gain_and_radius(seed):
     model, design = designed(seed)
@@ -167,28 +171,23 @@ def test_a_plant_as_slow_as_is_printed_converges_and_one_a_tenth_slower_does_not
 
 @pytest.mark.parametrize("base", [None, "auto"])
 def test_the_radius_is_that_of_the_slower_plant_at_its_frequency(base):
-    """A radius that lies below the band moves into it with a faster plant, and out of it."""
-    P = random_stable(1, m=1, distance=0.2)
-    P = P / np.abs(P(1))
+    """A slower plant brings a radius from above the cut-off to where Q passes it."""
+    P, Q = lag(0.7, Ts=0.5), zero_phase_butterworth(2, 0.6, 0.5)
     omega = np.linspace(1e-3, 2 * np.pi, 4000)
-    radius = 0.7 * np.abs(frequency_response(P, omega)[:, 0, 0]) * (omega > 1.2)
-    Q = zero_phase_butterworth(2, 0.6, P.dt)
+    size = np.abs(frequency_response(P, omega)[:, 0, 0])
+    radius = 0.7 * size * np.exp(-(((omega - 0.9) / 0.04) ** 2))
     design = synthesise(P, Q, omega, uncertainty=radius, base=base)
     low, L = (f.frequency_response(omega).ravel() for f in (Q, design.filter))
 
-    def peak(slower, of_nominal):
-        there = np.clip(slower * omega, omega[0], omega[-1])
-        r = np.interp(omega if of_nominal else there, omega, radius)
+    def peak(slower, r):
+        there = np.minimum(slower * omega, omega[-1])
         M = low * (1 - frequency_response(P, there).ravel() * L)
-        return np.max(np.abs(M) + low * r * np.abs(L))
+        return np.max(np.abs(M) + low * np.interp(r * omega, omega, radius) * np.abs(L))
 
-    def limit(of_nominal):
-        steps = np.linspace(1, 4, 1500)
-        return next(a for a in steps if peak(a, of_nominal) >= 1)
-
-    exact, other = limit(of_nominal=False), limit(of_nominal=True)
-    assert abs(exact - other) > 0.05 * (exact - 1)  # or the test would not see which
-    assert design.margins.time[1] == pytest.approx(exact, abs=0.002 * exact)
+    limit = design.margins.time[1]
+    near = 0.01 * (limit - 1)  # the grid has 10 frequencies for the width of the moved radius
+    assert peak(limit - near, limit - near) < 1 < peak(limit + near, limit + near)
+    assert peak(limit + near, 1.0) < 0.9  # with the radius of the nominal plant at omega
 
 
 def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
