@@ -141,7 +141,7 @@ class Certificate:
 
     @cached_property
     def margins(self) -> Margins:
-        """How far the plant may be off before monotone convergence is lost."""
+        """By how much the plant may change before monotone convergence is lost."""
         return margins(self.problem, self.filter)
 
     @cached_property
@@ -208,7 +208,11 @@ class Certificate:
 
     @cached_property
     def trial(self) -> tuple[int, float]:
-        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models."""
+        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models.
+
+        Of several plants it is the largest over all of them. The norms of those that cannot be the
+        worst are not computed to the end, see :mod:`.worst_trial`.
+        """
         problem = self.problem
         if None in problem.response.models or isinstance(problem.lowpass, SampledQ):
             return 0, np.nan

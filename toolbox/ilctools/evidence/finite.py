@@ -166,6 +166,7 @@ def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float
     """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm.
 
     At least twice as long as the plants delay, or no trial would show what v does.
+    Of all plants, by iterations that run together where there are several.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))

@@ -2,8 +2,8 @@
 
 The map of a trial of plant k is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. Q and L
 are the same for all plants. So L_N is made a matrix once, and the Lanczos iteration on T_k^T T_k
-runs for many plants at the same time. After j steps from a random start, the largest eigenvalue of a
-symmetric, positive semidefinite matrix of size n is above theta / (1 - eps), where theta is the
+runs for many plants at the same time. After j steps from a random start, the largest eigenvalue of
+a symmetric, positive semidefinite matrix of size n is above theta / (1 - eps), where theta is the
 largest Ritz value, with a probability of at most
 
     1.648 sqrt(n) exp(-(2 j - 1) sqrt(eps)),

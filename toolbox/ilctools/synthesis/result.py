@@ -42,7 +42,7 @@ class Synthesis:
 
     @property
     def margins(self) -> Margins:
-        """How far the plant may be off before monotone convergence is lost: gain, delay, time."""
+        """By how much gain, delay and time scale of the plant may change, see :class:`Margins`."""
         return self.certificate.margins
 
     @property

@@ -159,10 +159,8 @@ def antiresonance(slower=1.0):
 def test_a_plant_as_slow_as_is_printed_converges_and_one_a_tenth_slower_does_not():
     """Of the plant, sampled anew: that differs from P(a omega) by less than 1e-3 of the distance."""
     design = synthesise(antiresonance(), LOWPASS)
-    numbers = (
-        r"delay ([\d.]+) samples less to ([\d.]+) more, ([\d.]+) % faster to ([\d.]+) % slower"
-    )
-    *_, faster, slower = map(float, re.search(numbers, repr(design)).groups())
+    found = re.search(r"([\d.]+) % faster to ([\d.]+) % slower", repr(design))
+    faster, slower = map(float, found.groups())
     assert design.check(antiresonance(1 + slower / 100)).gamma < 1
     assert design.check(antiresonance(1 / (1 + faster / 100))).gamma < 1
     assert design.check(antiresonance(1 + 1.1 * slower / 100)).gamma > 1
