@@ -10,12 +10,12 @@ at all frequencies, for all plants, and everywhere within the radius of the prob
 with them.
 
 M can have a narrow crest wherever P or L changes within a narrow band: at a mode of P, which is a
-pole of P, and at an antiresonance of P, where L = B K has poles. So Q and L are computed on a grid
-that is dense in the phase of their poles, each plant on one that is dense in the phase of its own,
-and both between by splines; the height of a crest follows from the parabola through its three
-highest points. Of a table, whose poles are not known, the samples decide: a mode that is narrower
-than a step of omega is not seen. The range above the last sample counts as the certificate counts
-it, but for a change of the time scale, which leaves out what would come from there.
+pole of P, and at an antiresonance of P, where L = B K has poles. Q and L are therefore computed on
+a grid that is dense in the phase of their poles, and each plant on a grid that is dense in the
+phase of its own poles. Splines hold between. The height of a crest follows from the parabola
+through its three highest points. The poles of a table are not known, and its samples decide: a mode
+that is narrower than a step of omega is not seen. Above the last sample a table counts as it does
+in the certificate. The margin of the time scale leaves out what would come from there.
 
 The search goes outwards in steps to the first that fails, and then by Brent's method. It ends with
 ten times the gain, eight times the time, a turn of the phase. In g and r sigma_max is convex, so
@@ -76,8 +76,8 @@ def _percent(distance):
 
 
 def inwards(distance: float) -> float:
-    """A distance rounded towards zero to two digits; what rounding took from it is given back."""
-    distance *= 1 + 1e-12
+    """A distance rounded towards zero, to two digits."""
+    distance *= 1 + 1e-12  # 100 * 0.29 is less than 29 by rounding
     if distance <= 0:
         return 0.0
     digit = np.floor(np.log10(distance)) - 1
@@ -85,7 +85,7 @@ def inwards(distance: float) -> float:
 
 
 def margins(problem: Problem, L) -> Margins:
-    """Those of a filter, in units of `scale`, for all plants of a problem at once."""
+    """The margins of a filter, in units of `scale`, for all plants of a problem at once."""
     response, cutoff = problem.response, problem.lowpass.cutoff
     filters = Filters.of(problem, L)
     plants = [Perturbed.of(response, number, filters) for number in range(len(response.models))]

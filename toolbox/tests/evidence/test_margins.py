@@ -157,7 +157,7 @@ def antiresonance(slower=1.0):
 
 
 def test_a_plant_as_slow_as_is_printed_converges_and_one_a_tenth_slower_does_not():
-    """Of the plant, sampled anew: that differs from P(a omega) by less than 1e-3 of the distance."""
+    """A slower plant, sampled anew, differs from P(a omega) by less than 1e-3 of the distance."""
     design = synthesise(antiresonance(), LOWPASS)
     found = re.search(r"([\d.]+) % faster to ([\d.]+) % slower", repr(design))
     faster, slower = map(float, found.groups())
