@@ -4,19 +4,23 @@ import warnings
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
-from plants import RestartingModel
+from plants import RestartingModel, lags
 
 from ilctools import (
     ClosedLoop,
     measured_response,
     multisine,
+    read_table,
     run_trials,
     shake,
     synthesise,
     zero_phase_butterworth,
 )
 from ilctools.evidence.peak import BELOW, peak_of_M
+from ilctools.models import frequency_response
+from ilctools.response.door import in_own_units
 
 AXIS = control.ss(control.sample_system(control.tf([400], [1, 20, 400]), 0.01))
 Q = zero_phase_butterworth(2, 40.0, 0.01)
@@ -99,3 +103,29 @@ def test_below_the_lowest_line_of_a_shaken_rig_the_rate_holds_too(gain):
     assert at < measured.omega[0]
     assert design.certificate.peaks["estimated"].sigma < true <= design.rate < 0.9
     assert "P is what the measured response says at rest" in f"{design}"
+
+
+def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
+    """By the region of its estimate, in whatever units; judged by the plant at rest."""
+    plant, rng, time = lags(), np.random.default_rng(0), np.arange(1500)
+    w = np.cumsum(rng.standard_normal((1500, 2)), axis=0) / 10
+    w -= np.outer(time / time[-1], w[-1])
+    y = control.forced_response(plant, inputs=w.T).outputs.T
+    columns = np.column_stack([time, w, y + 0.002 * rng.standard_normal(y.shape)])
+    table = pd.DataFrame(columns, columns=["t", "a", "b", "p", "q"])
+    log = read_table(table, time="t", inputs={"a": "a", "b": "b"}, outputs={"p": "p", "q": "q"})
+    measured, lowpass = measured_response(log, delay=1), zero_phase_butterworth(2, 0.05, 1.0)
+    [at_rest] = frequency_response(plant, [0.0]).real
+    for scale in ([1.0, 1.0], [1.0, 1.5]):
+        design = synthesise(measured, lowpass, scale=scale)
+        assert design.certificate.peaks["estimated"].sigma < design.rate < 1
+        assert peak_of_M(plant, design.filter, lowpass)[0] <= design.rate
+        S = np.array(scale)
+        response = design.problem.response
+        for known, truth in (
+            (response, at_rest * S / S[:, None]),
+            (in_own_units(response), at_rest),
+        ):
+            [P], [radius] = known.anywhere(0, np.zeros(1))
+            assert np.linalg.norm(P - truth, 2) <= radius < 0.5
+            assert not P.imag.any()
