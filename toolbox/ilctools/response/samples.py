@@ -25,8 +25,9 @@ drowned by the others. From d = 1 on, at a phase of 45 degrees at the latest, si
 among these, and the phase may have turned before: then P is anything that is not larger than at
 omega_1, and no filter has a sigma_max(M) below |Q| there. With omega_1 at 1/1000, 1/100, 1/50, 1/20
 and 1/10 of the cut-off 30, 29, 28, 24 and 24 of 30 plants lie within; not where a slow part of
-little gain lies below. Only the certificate counts this region: bounds on M are not imposed there.
-Of 58 designs of a finite filter none passed M_max there by more than what no filter mends.
+little gain lies below. Only the certificate counts this region: bounds on M are not imposed there,
+as no filter has less than |Q| d at rest. Of 58 designs of a finite filter seven passed M_max = 0.9
+there, all with d above 0.7.
 """
 
 from dataclasses import dataclass
