@@ -85,30 +85,46 @@ class _Maps:
 def _largest_of(maps, largest) -> float:
     """The largest norm of some maps, or `largest` where none is larger."""
     count, N, m, _ = maps.h.shape
-    start = np.random.default_rng(0).standard_normal(N * m)  # the same in every run
-    which = np.arange(count)
-    v = np.tile(start / np.linalg.norm(start), (count, 1))
-    basis, diagonal, beside = v[:, None], np.zeros((count, 0)), np.zeros((count, 0))
+    run = _Lanczos(maps, count, N * m)
     for step in range(1, N * m + 1):
-        w = maps.normal(v, which)
-        diagonal = np.column_stack([diagonal, (w * v).sum(axis=1)])
-        for _ in range(2):  # once leaves what rounding has made of the projections
-            w = w - (basis.swapaxes(1, 2) @ (basis @ w[..., None]))[..., 0]
-        length = np.linalg.norm(w, axis=1)
-        beside = np.column_stack([beside, length])
-        if step % BETWEEN == 0 or step == N * m or not length.all():
-            theta, residual = _ritz(diagonal, beside)
-            found = (residual <= TOLERANCE * theta) | (step == N * m)
-            largest = max(largest, np.sqrt(theta[found].max(initial=0)))
-            highest = theta / (1 - _missing(N * m, step))
-            open_ = ~found & (highest > largest**2)
-            if not open_.any():
-                break
-            which, w, length = which[open_], w[open_], length[open_]
-            basis, diagonal, beside = basis[open_], diagonal[open_], beside[open_]
-        v = w / length[:, None]
-        basis = np.concatenate([basis, v[:, None]], axis=1)
+        run.step()
+        last = step == N * m
+        if step % BETWEEN and not last and run.beside[:, -1].all():
+            continue  # while there is a next vector for each plant
+        theta, residual = _ritz(run.diagonal, run.beside)
+        found = (residual <= TOLERANCE * theta) | last
+        largest = max(largest, np.sqrt(theta[found].max(initial=0)))
+        run.keep(~found & (theta / (1 - _missing(N * m, step)) > largest**2))
+        if not len(run.which):
+            break
     return float(largest)
+
+
+class _Lanczos:
+    """Lanczos iterations on T_k^T T_k of several plants, each with all of its vectors."""
+
+    def __init__(self, maps, count, size):
+        start = np.random.default_rng(0).standard_normal(size)  # the same in every run
+        self.maps, self.which = maps, np.arange(count)  # the plants that are left, by number
+        self.w = np.tile(start, (count, 1))  # the next vectors, not yet of length one
+        self.basis = np.empty((count, 0, size))
+        self.diagonal, self.beside = np.empty((2, count, 0))
+
+    def step(self):
+        """One vector more for each plant; `beside` then has the length of what is left."""
+        v = self.w / np.linalg.norm(self.w, axis=1, keepdims=True)
+        self.basis = np.concatenate([self.basis, v[:, None]], axis=1)
+        w = self.maps.normal(v, self.which)
+        self.diagonal = np.column_stack([self.diagonal, (w * v).sum(axis=1)])
+        for _ in range(2):  # once leaves what rounding has made of the projections
+            w = w - (self.basis.swapaxes(1, 2) @ (self.basis @ w[..., None]))[..., 0]
+        self.w = w
+        self.beside = np.column_stack([self.beside, np.linalg.norm(w, axis=1)])
+
+    def keep(self, chosen):
+        """Go on with some of the plants, (k,) bool."""
+        self.which, self.w, self.basis = self.which[chosen], self.w[chosen], self.basis[chosen]
+        self.diagonal, self.beside = self.diagonal[chosen], self.beside[chosen]
 
 
 def _ritz(diagonal, beside):
