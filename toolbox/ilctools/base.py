@@ -76,7 +76,7 @@ class RegularisedInverse:
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
         arguments.stable("P", P.poles())
-        if P.noutputs % P.ninputs:
+        if self.E is None and P.noutputs % P.ninputs:
             raise ValueError(
                 f"P has {P.noutputs} outputs and {P.ninputs} inputs, but must have as many outputs "
                 "as inputs for each model"
