@@ -68,5 +68,5 @@ def test_draws_do_not_depend_on_the_number_of_workers():
     assert drawn == specimens
     one_by_one = [responses(loop, [specimen], omega)[0] for specimen in specimens[95:105]]
     np.testing.assert_allclose(here[95:105], one_by_one, rtol=1e-12, atol=1e-14)  # rounding
-    with pytest.raises(ValueError, match="^executor"):
+    with pytest.raises(ValueError, match="executor"):
         responses(loop, specimens, omega, executor=ThreadPoolExecutor)
