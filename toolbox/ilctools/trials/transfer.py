@@ -247,14 +247,16 @@ class _Fits:
     def likelihood(self, rho, static, weight):
         """Logarithm of the likelihood of each output in blocks that were left out of the fit."""
         without = self.solve(rho, static, weight)[1:]
-        power = self.squares(0 * without).sum(axis=0)
+        no_F = np.zeros_like(without)
+        power = self.squares(no_F).sum(axis=0)
         floor = ROUNDING * np.where(power > 0, power, 1.0)
         prior = self.K * np.log(PENALTY) if static == 1 else 0.0
         return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
     def variances(self, without):
         """rho, by what fits without a block leave in it; and the share that they predict, (m,)."""
-        missed, power = self.squares(without), self.squares(0 * without)
+        no_F = np.zeros_like(without)
+        missed, power = self.squares(without), self.squares(no_F)
         rho = np.ones(self.m)
         if self.K > 1:
             rho = np.minimum(1.0, missed[0] / (self.K - 1) / np.maximum(missed[1], TINY))
