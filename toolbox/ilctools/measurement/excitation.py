@@ -132,18 +132,31 @@ def multisine(
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
-    amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
-    amplitude = by_channel("amplitude", amplitude, loop.outputs, loop.references)
-    amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
-    amplitude = [arguments.positive("amplitude", value) for value in amplitude]
+    amplitude = _amplitudes(amplitude, loop)
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
-    realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
-    top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
-    harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
+    hours_of_all_inputs = m * period * Ts / 3600
+    realisations, periods = _divided(hours, hours_of_all_inputs, realisations, lowest)
+    harmonics = _harmonics(period, highest * Ts, lines)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (realisations, m, len(harmonics)))
     phases = _with_low_peaks(phases, harmonics, m).tolist()
     return Excitation(Ts, period, periods, harmonics, phases, amplitude)
+
+
+def _amplitudes(amplitude, loop):
+    """The largest |w| of each input."""
+    m = len(loop.outputs)
+    each = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
+    each = by_channel("amplitude", each, loop.outputs, loop.references)
+    each = arguments.array("amplitude", each, (m,)).tolist()
+    return [arguments.positive("amplitude", value) for value in each]
+
+
+def _harmonics(period, highest, lines):
+    """Numbers of the lines, evenly on a logarithmic scale, up to an angle below Nyquist's."""
+    below_nyquist = (period - 1) // 2
+    last = min(int(highest * period / (2 * np.pi)), below_nyquist)
+    return np.unique(np.round(np.geomspace(1, last, lines)).astype(int)).tolist()
 
 
 def _divided(hours, cycle, realisations, lowest):

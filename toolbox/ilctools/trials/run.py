@@ -190,10 +190,11 @@ class _Simulated:
         return signals | {"y": y, "delta": x[:, -w.shape[1] :]} if self.ours else {"y": y}
 
     def response(self, inputs):
-        """States, outputs y and commands u."""
-        model = self.model
+        """States, outputs y and commands u, which stand in this order in the model's outputs."""
+        model, p = self.model, len(self.loop.outputs)
         x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
-        return x, *np.split(x @ model.C.T + inputs @ model.D.T, 2, axis=1)  # (18)
+        y_and_u = x @ model.C.T + inputs @ model.D.T  # (18)
+        return x, y_and_u[:, :p], y_and_u[:, p:]
 
     def within_limits(self, inputs):
         """Inputs whose w asks for what is applied, and what is asked for with the w given."""
