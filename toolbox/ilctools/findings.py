@@ -1,14 +1,13 @@
 """What speaks against a design: a code with its numbers, put into words here and nowhere else."""
 
 from dataclasses import dataclass
+from typing import Any
 
 WORDS = {
     # what fails
     "gap": "relative duality gap {value:.1e} > {limit:g}",
-    "M": "sigma_max(M) {place} = {value:.12g} > M_max = {limit}",
-    "L": "sigma_max(L) = {value:.12g} > L_max = {limit} on the grid",
-    "M everywhere": "sigma_max(M) {place} is {value:.12g}, above M_max = {limit}",
-    "L everywhere": "sigma_max(L) is {value:.12g}, above L_max = {limit}, at some frequency",
+    "on the grid": "{claim.what}{place} = {value:.12g}, above {claim} on the grid",
+    "everywhere": "{claim.what}{place} is {value:.12g}, above {claim}, at some frequency",
     "one or more": "sigma_max(M) {place}, not in omega, reaches {value:.9g}: Lemma 1 does not "
     "hold; add frequencies there, or synthesise with everywhere=True",
     "beyond": "sigma_max(M) {place} may reach {value:.4g}, with the size of P assumed there: "
@@ -59,6 +58,7 @@ class Finding:
     limit: float
     place: str = ""  # which plant and frequency
     remedy: str = ""  # with its numbers, where these are known
+    claim: Any = None  # the bound that it is about, with its name and what is bounded
 
     def __str__(self):
         return WORDS[self.code].format(**vars(self))

@@ -58,6 +58,7 @@ from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
 from ilctools.singular_values import TIED, largest_singular_values
 
+FINE = 0.01  # in phi, of a grid on which a peak is read off: crests between are 1e-5 higher
 STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
 # where the peak may be higher than all values so far, each step is divided, and again: h is then
 # 0.002, and the bound 5e-7 above the peak
@@ -70,13 +71,24 @@ BELOW = "assumed below the first sample"
 DENSER = 10  # the grid between the samples, against theirs
 
 
-def peak_of_L(L: LearningFilter) -> tuple[float, float]:
-    """Peak over all frequencies of sigma_max(L), and where it is."""
+def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
+    """Peak of sigma_max(L) over all frequencies from the lowest on, and where it is.
+
+    Proven over all frequencies. From another lowest one on, it is the largest value on a grid with
+    steps of `FINE` in the phase of L, and at the tops of its crests.
+    """
 
     def sigma(omega):
         return largest_singular_values(in_parts(L.frequency_response, omega, 4 * LONG))
 
-    return proven_peak(sigma, L.poles, L.Ts)
+    if lowest <= 0:
+        return proven_peak(sigma, L.poles, L.Ts)
+    grid = phase_grid([L.poles], max(FINE, float(phase(L.poles, np.array([np.pi]))[0]) / MOST))
+    omega = np.append(lowest, grid[grid > lowest * L.Ts] / L.Ts)
+    values = sigma(omega)
+    if len(crests := tops(omega, values, NEAR * values.max())):
+        omega, values = np.append(omega, crests), np.append(values, sigma(crests))
+    return float(values.max()), float(omega[values.argmax()])
 
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:

@@ -1,13 +1,16 @@
 """Stating a problem, each argument checked."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ilctools import arguments
 from ilctools.base import base_of_models, base_of_samples
 from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
+from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import lowpass_of
-from ilctools.problem.problem import Bounds, Objective, Problem
+from ilctools.problem.problem import Objective, Problem
 from ilctools.problem.reference import error_weights, first_error
 from ilctools.response.response import ROUNDING, Response
 from ilctools.singular_values import largest_singular_values
@@ -24,6 +27,7 @@ def pose(
     order=None,
     M_max=0.9,
     L_max=defaults.CHOOSE,
+    L_high=None,
     band=None,
     reference=None,
     structure="full",
@@ -45,7 +49,8 @@ def pose(
     order = _order(response, cutoff, order, base, chosen)
     Q = lowpass.frequency_response(response.omega)
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
-    bounds = _bounds(M_max, L_max, everywhere, gain, pooled, chosen)
+    L_high = _bound_from(L_high, response)
+    bounds = replace(_bounds(M_max, L_max, everywhere, gain, pooled, chosen), L_high=L_high)
     if base is not None:
         base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
@@ -163,7 +168,21 @@ def _bounds(M_max, L_max, everywhere, gain, close, chosen):
     if L_max is not None:
         what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
         L_max = arguments.positive("L_max", L_max, what)
-    return Bounds(M_max, L_max, arguments.flag("everywhere", everywhere))
+    return Bounds(M_max, L_max, everywhere=arguments.flag("everywhere", everywhere))
+
+
+def _bound_from(L_high, response):
+    """A frequency and the bound on sigma_max(L) from there on, or None."""
+    if L_high is None:
+        return None
+    lowest, gain = arguments.array("L_high", L_high, (2,)).tolist()
+    if not 0 < lowest <= response.omega[-1] or gain <= 0:
+        raise ValueError(
+            f"L_high = ({lowest:g}, {gain:g}) must be a frequency from above 0 to the last one of "
+            f"omega, {response.omega[-1]:.6g} rad/s, and a positive bound on sigma_max(L) from "
+            "there on"
+        )
+    return lowest, gain
 
 
 def _gain(response, lowpass, M_max, pooled):

@@ -38,6 +38,7 @@ def synthesise(
     order=None,
     M_max=0.9,
     L_max: float | str | None = CHOOSE,
+    L_high: tuple[float, float] | None = None,
     band=None,
     reference=None,
     structure="full",
@@ -106,8 +107,11 @@ def synthesise(
         error. If `base` is a number or None, it is four times the gain that inverts P up to Q's
         cut-off, rounded up to one digit. It holds between the frequencies of a coarse grid, and up
         to the Nyquist frequency, too. None leaves it out: filters then compete up to the gain that
-        coefficients in doubles can hold, :attr:`.Problem.weight`, and where they look beyond the
+        coefficients in doubles can hold, :attr:`.Problem.L_bound`, and where they look beyond the
         ends of a trial, trials often diverge: ask :func:`trial_norm`.
+    L_high : (float, float), optional
+        A frequency, rad/s, and a further bound on sigma_max(L) from there on: L then learns less
+        noise there, without a lower cut-off of Q.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -201,6 +205,7 @@ def synthesise(
     choices = {
         "M_max": M_max,
         "L_max": L_max,
+        "L_high": L_high,
         "band": band,
         "reference": reference,
         "structure": structure,
@@ -323,7 +328,7 @@ def warned(design: Synthesis) -> Synthesis:
     return design
 
 
-def certified(problem: Problem, *, check=True) -> Synthesis:
+def certified(problem: Problem) -> Synthesis:
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
     try:
         grid, solution = solve_everywhere(problem)
@@ -332,8 +337,7 @@ def certified(problem: Problem, *, check=True) -> Synthesis:
     except RuntimeError as error:
         raise SolverError(f"{error}.{_remedy(problem)}") from None
     certificate = certify(problem, grid, solution)
-    if check:
-        insist(certificate)
+    insist(certificate)
     return result(problem, solution, certificate)
 
 
@@ -341,7 +345,7 @@ def result(problem, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
     L = problem.L(solution)
     return Synthesis(
-        in_units(certificate.filter, problem.scale),
+        in_units(certificate.scaled_filter, problem.scale),
         problem,
         certificate,
         largest_singular_values(problem.M(L)),
@@ -358,11 +362,11 @@ def _infeasible(problem) -> InfeasibleError:
     least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
     longer += "" if problem.base is None else ", a larger `reach`, or none of B (pass its order)"
-    raised = "M_max" if problem.L_max is None else "M_max or L_max"
+    raised = " or ".join(claim.name for claim in problem.bounds.claims)
     texts = "; ".join(problem.assumptions)
     return InfeasibleError(
-        f"infeasible: M_max = {problem.M_max:g} and L_max = {problem.L_max or np.inf:g} are too "
-        f"tight for a {problem.structure} filter of order = {problem.order} (P lags by "
+        f"infeasible: {' and '.join(map(str, problem.bounds.claims))} are too tight for a "
+        f"{problem.structure} filter of order = {problem.order} (P lags by "
         f"{problem.delay} samples at the cut-off); the smallest feasible M_max is {least:.6g} "
         f"(most in the way: {where}): raise {raised}, take {longer}, lower the cut-off of Q "
         "(without Q, it is chosen), or design a faster loop. If no bound so tight was meant: are "

@@ -30,7 +30,7 @@ def whitened_basis(problem):
     Q = np.abs(problem.Q)
     P = problem.through_base(problem.P, np.arange(len(Q)))
     weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
-    weight = np.hypot(weight, largest_singular_values(problem.weight))
+    weight = np.hypot(weight, largest_singular_values(problem.L_bound))
     weight = np.maximum(weight, 1e-8 * weight.max())
     z = weight[:, None] * time_shifts(problem.omega * problem.Ts, problem.order)
     Phi, R = np.linalg.qr(np.concatenate([z.real, z.imag]).astype(float))
@@ -53,6 +53,11 @@ def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
     T = problem.through_base(T, frequency)
     levels = np.broadcast_to(level, len(frequency))
     return Bound(_long(F), _long(T), frequency, levels, radius is not None)
+
+
+def bound_on_L(W, frequency, level) -> Bound:
+    """The bound on W L, (46), at some frequencies."""
+    return Bound(0 * W, W, frequency, np.full(len(frequency), level), within_radius=False)
 
 
 def _long(X):
@@ -82,6 +87,10 @@ class Formulation:
     plant: np.ndarray  # plants and frequencies of the cuts
     frequency: np.ndarray
 
+    def x_of(self, solution: Solution) -> np.ndarray:
+        """The unknowns of the program that make a filter."""
+        return solution.coefficients[self.program.rows, self.program.cols] @ self.R.T
+
     def solution(self, optimum: Optimum) -> Solution:
         """The filter and the multipliers of an optimum of the program."""
         problem, program = self.problem, self.program
@@ -89,8 +98,9 @@ class Formulation:
         C, (U, V) = np.zeros((m, m, problem.order)), np.zeros((2, n, m, m), dtype=complex)
         C[program.rows, program.cols] = solve_triangular(self.R, optimum.x.T).T
         N = [np.moveaxis(N, -1, 0) for N in optimum.multipliers]
-        of_M, of_L, of_cuts = np.split(N[0], [len(self.nominal), len(self.nominal) + n])
-        U[self.nominal], V[:] = of_M, problem.weight @ of_L  # of G = M and of G = W L
+        ends = np.cumsum([len(self.nominal), n, len(problem.L_bound_beside[0])])
+        of_M, of_L, _, of_cuts = np.split(N[0], ends)
+        U[self.nominal], V[:] = of_M, problem.L_bound @ of_L  # of G = M and of G = W L
         if problem.radius is not None:
             of_cuts = N[1]
         cuts = Cuts(self.plant, self.frequency, of_cuts) if len(self.plant) else None
@@ -105,6 +115,7 @@ class Levels(NamedTuple):
     M: np.ndarray  # (n,): number of the bound on the nominal M at each frequency
     cuts: int  # on M of other plants, or within a radius
     L: int  # on W L
+    L_beside: int  # on L, beside a gain that is minimised
 
 
 def levels_of(problem) -> Levels:
@@ -112,31 +123,34 @@ def levels_of(problem) -> Levels:
     n, one_t = len(problem.omega), np.ones(1)
     match problem.objective.kind:
         case "gain":  # minimise t:  W L <= t,  M <= M_max
-            t, _, M_max = range(3)
-            limits = [GENEROUS, problem.M_max]
-            return Levels(one_t, limits, np.full(n, M_max), cuts=M_max, L=t)
+            t, _, M_max, one = range(4)
+            limits = [GENEROUS, problem.M_max, 1.0]
+            return Levels(one_t, limits, np.full(n, M_max), cuts=M_max, L=t, L_beside=one)
         case "peak":  # minimise t:  M <= t,  W L <= 1                    (45), (46)
             t, _, one = range(3)
             limits = [GENEROUS * problem.idle, 1.0]
-            return Levels(one_t, limits, np.full(n, t), cuts=t, L=one)
+            return Levels(one_t, limits, np.full(n, t), cuts=t, L=one, L_beside=one)
         case "sum":  # minimise w t:  M_i <= t_i <= M_max,  W L <= 1      (39)
             summed = problem.objective.summed
             cost = problem.objective.weights[summed]
             M_max, one = len(cost), len(cost) + 1
             of_M = np.full(n, M_max)
             of_M[summed] = np.arange(len(cost))
-            return Levels(cost, [problem.M_max, 1.0], of_M, cuts=M_max, L=one)
+            return Levels(cost, [problem.M_max, 1.0], of_M, cuts=M_max, L=one, L_beside=one)
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
     every, radius = np.arange(len(problem.omega)), problem.radius
     nominal, plant, frequency = _bounded(problem, np.array(plant, int), np.array(frequency, int))
-    levels, W = levels_of(problem), _long(problem.weight)
+    levels, W = levels_of(problem), _long(problem.L_bound)
     M = bound_on_M(problem, 0 * nominal, nominal, None, levels.M[nominal])
-    L = Bound(0 * W, W, every, 0 * every + levels.L, within_radius=False)
+    L = bound_on_L(W, every, levels.L)
+    at, W_beside = problem.L_bound_beside
+    beside = bound_on_L(_long(W_beside), at, levels.L_beside)
     cuts = bound_on_M(problem, plant, frequency, radius, levels.cuts)
-    bounds = (side_by_side(M, L, cuts),) if radius is None else (side_by_side(M, L), cuts)
+    plain = (M, L, beside) if len(at) else (M, L)
+    bounds = (side_by_side(*plain, cuts),) if radius is None else (side_by_side(*plain), cuts)
     basis, R = whitened_basis(problem)
     rows, cols = entries_of(problem.channels, problem.structure)
     most = GENEROUS if problem.objective.kind == "gain" else problem.M_max

@@ -107,7 +107,7 @@ class Synthesis:
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
         check_match(design=design.response.signals, P=response.signals)
-        return on_one_thread(check)(problem, self.certificate.filter).convergence
+        return on_one_thread(check)(problem, self.certificate.scaled_filter).convergence
 
     def __repr__(self):
         return repr(self.certificate)

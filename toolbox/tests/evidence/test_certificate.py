@@ -82,7 +82,7 @@ over log omega"""
     ("gap", "M", "L", "anywhere", "codes"),
     [
         (0.99e-6, 1 + 0.99e-9, 1 + 0.99e-9, 0.924, ""),
-        (1.01e-6, 1 + 1.01e-9, 1 + 1.01e-9, 0.924, "gap, M, L"),
+        (1.01e-6, 1 + 1.01e-9, 1 + 1.01e-9, 0.924, "gap, on the grid, on the grid"),
         (0, 1, 1, 0.926, "between"),
         (0, 1, 1, 1 - 1e-15, "between"),
         (0, 1, 1, 1.0, "one or more"),
@@ -92,7 +92,7 @@ def test_a_certificate_fails_and_warns_from_its_limits_on(good, gap, M, L, anywh
     """Relative passes of 1e-6 and 1e-9; one anywhere; a quarter of the room between M and one."""
     peak = replace(good.peak, sigma=anywhere, omega=0.25)
     on_grid = replace(good.peaks["on the grid"], sigma=0.9 * M)
-    asked = {"grid_L": 50 * L, "lower_bound": good.value * (1 - gap)}
+    asked = {"sigma_L": good.sigma_L * 50 * L / good.grid_L, "lower_bound": good.value * (1 - gap)}
     changed = replace(good, peaks={"on the grid": on_grid, "proven": peak}, **asked)
     found = changed.failures + changed.warnings
     assert ", ".join(one.code for one in found) == codes

@@ -109,7 +109,7 @@ def test_the_least_gain_of_a_lag_is_that_of_cvxpy():
 
 
 def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
-    def fails(*_):
+    def fails(*_, **__):
         raise RuntimeError("the bounds leave less room than rounding takes")
 
     monkeypatch.setattr(search, "solve_everywhere", fails)

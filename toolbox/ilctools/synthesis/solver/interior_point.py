@@ -344,11 +344,18 @@ def follow(p, enough=0.0) -> Path:
     return Path(monitor.best, Outcome.TOO_MANY, MOST_STEPS)
 
 
-def minimise(program: Program) -> Optimum:
-    """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails."""
+def minimise(program: Program, nearby=None) -> Optimum:
+    """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails.
+
+    The path begins at zero; where it does not lead within the limits, at an x `nearby`, if there is
+    one, which keeps them; else at the x of phase one.
+    """
     zero = np.zeros((len(program.rows), len(program.basis)))
     path = follow(begin(program, zero))
     iterations = path.iterations
+    if path.best is None and nearby is not None:
+        path = follow(begin(program, nearby))
+        iterations += path.iterations
     if path.best is None:
         nearest, more = phase_one(program, zero, iterations)
         path = follow(begin(program, nearest.x))
