@@ -90,7 +90,7 @@ def test_the_norm_of_a_trial_is_the_largest_of_all_plants(plants, how):
     assert largest_trial_norm(plants, low, L, samples) == pytest.approx(max(norms), rel=1e-7)
     worst_last = [P for _, P in sorted(zip(norms, plants, strict=True), key=lambda pair: pair[0])]
     assert largest_trial_norm(worst_last, low, L, samples) == pytest.approx(max(norms), rel=1e-7)
-    assert design.certificate.trial == settled_norm(plants, low, design.certificate.filter)
+    assert design.certificate.trial == settled_norm(plants, low, design.certificate.scaled_filter)
 
 
 def test_what_is_seen_of_a_list_stays_what_it_was_with_all_states():
