@@ -197,7 +197,7 @@ class Certificate:
         place = ""
         if claim.matrix == "M":
             place = " " + self.place(self.peaks.get(code, self.peak))
-        return Finding(code, value, claim.limit, place, claim)
+        return Finding(code, value, claim.limit, place, claim=claim)
 
     @property
     def warnings(self) -> list[Finding]:
