@@ -11,7 +11,8 @@ function v = law(path, v, e)
 saved = jsondecode(fileread(path));
 is_known = isfield(saved, "format") && any(strcmp(saved.format, {"rodlib law 1", "rodlib law 2"}));
 refuse(~is_known, "%s is no file of save_law, or a newer one", path);
-refuse(isfield(saved, "actuators"), "there must be no limits, but the law has some");
+is_limited = isfield(saved, "actuators") && ~isempty(fieldnames(saved.actuators));
+refuse(is_limited, "there must be no limits, but the law has some");
 is_finite = ~isfield(saved.L, "base") || isempty(saved.L.base);
 refuse(~is_finite, "the base is a model; synthesise with reach");
 refuse(~all(strcmp({saved.Q.ends, saved.L.ends}, "zero")), "`ends` must be zero");

@@ -33,6 +33,7 @@ LAWS = {
         LearningFilter(RNG.standard_normal((1, 1, 303)), 1.0, first=-151),
     ),
     "order five": Law(zero_phase_butterworth(5, 0.5, 1.0), EXACT, rest=1),
+    "no limits on any rig": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, limits={}),
 }
 
 

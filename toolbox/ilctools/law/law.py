@@ -10,7 +10,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning, check_square
-from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
+from ilctools.law.limits import WEIGHT, Actuators, LimitsOf, check_solver, projected, stated_limits
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
 
@@ -38,8 +38,9 @@ class Law:
         Learning gain a, in (0, 1].
     limits : dict, optional
         Lowest and highest command, by the names of the loop's commands, in their units: v is then
-        projected onto what can be applied. {} stands for none; None, too, but
-        :func:`ilctools.record` takes those of the rig. Where an actuator is limited in its rate,
+        projected onto what can be applied. {} stands for no limits at all, also on a rig that has
+        some. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere there are
+        none; the attribute then is :attr:`.LimitsOf.RIG`. Where an actuator is limited in its rate,
         let the reference rise as slowly.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
@@ -74,7 +75,7 @@ class Law:
     L: LearningOperator | Any
     rest: int = 0
     gain: float = 1.0
-    limits: dict[str, tuple[float, float]] | None = None
+    limits: dict[str, tuple[float, float]] | LimitsOf | None = None
     loop: Loop | None = None
     region: Any = field(default=None, repr=False)
     labels: Signals | None = field(default=None, repr=False)
@@ -94,9 +95,8 @@ class Law:
             rest=arguments.whole("rest", self.rest, 0),
             gain=arguments.number("gain", self.gain, "in (0, 1]", 0, most=1),
         )
-        if self.limits is not None:
-            commands = getattr(self.loop, "commands", None)
-            vars(self)["limits"] = named_limits("limits", self.limits, commands)
+        commands = getattr(self.loop, "commands", None)
+        vars(self)["limits"] = stated_limits(self.limits, commands)
 
     @property
     def Ts(self) -> float:
@@ -115,16 +115,30 @@ class Law:
             return self.L.channels
         return self.outputs and len(self.outputs)
 
+    @property
+    def known_limits(self) -> dict[str, tuple[float, float]]:
+        """The limits that hold before a rig states its own: {} for none."""
+        return {} if self.limits is LimitsOf.RIG else self.limits
+
+    def on_rig(self, limits: dict[str, tuple[float, float]]) -> "Law":
+        """This law on a rig with these limits: they hold where the law does not state its own.
+
+        A law whose limits are {} has none at all, whatever the rig follows.
+        """
+        if self.limits == {}:
+            return self
+        return replace(self, limits=limits | self.known_limits)
+
     @cached_property
     def actuators(self) -> Actuators | None:
         """What the limits make of commands; None without limits."""
-        if not self.limits:
+        if not self.known_limits:
             return None
         if self.loop is None:
             raise ValueError("limits need the law's loop: law.bound_to(loop)")
         if self.L is not None:
             check_solver(self.loop)
-        return Actuators.of(self.limits, self.loop)
+        return Actuators.of(self.known_limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":
         """This law for a loop; a ValueError if it is for another."""

@@ -279,7 +279,7 @@ def replay(trials: xr.Dataset) -> Replay:
     error = trials.reference - trials.y
     trials = trials.assign(e=error.assign_attrs(trials.y.attrs))
     law, loop = law_of(trials), loop_of(trials)
-    if law is not None and law.limits and (loop is None or loop.asked(trials) is None):
+    if law is not None and law.known_limits and (loop is None or loop.asked(trials) is None):
         law = None  # whose projection cannot be computed
     result = Replay(trials, loop, law, resets=RESET not in trials.attrs)
     for text in result.warnings:

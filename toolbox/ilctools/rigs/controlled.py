@@ -1,7 +1,5 @@
 """A rig and its controller: ours, or the rig's; sample by sample."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from ilctools import arguments
@@ -122,8 +120,8 @@ class ControlledRig:
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
         limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
         self.limits = {name: limits[name] for name in self.commands if name in limits}
-        if law is not None and law.limits != {}:  # which stands for none at all
-            law = replace(law, limits=self.limits | (law.limits or {}))
+        if law is not None:
+            law = law.on_rig(self.limits)
         self.law, self.actuators = law, law and law.actuators
         self.stop = stop_limits(stop, reference, loop, self.limits)
         self.size = reference.shape[:2]  # trials, samples

@@ -56,7 +56,7 @@ def next_v(law: Law, first: np.ndarray, reset: bool, parts: Sequence[Part]) -> n
         return first
     if reset:
         parts = parts[-1:]
-    elif not law.limits:  # with them what was applied follows from the start on
+    elif not law.known_limits:  # with them what was applied follows from the start on
         parts = _last(parts, memory(law, len(first)))
     signals = joined(parts)
     e = signals["reference"] - signals["y"]

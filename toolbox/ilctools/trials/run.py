@@ -213,7 +213,7 @@ def _warnings(result, law, exact, from_rest):
     yield from diagnose(result, law, exact=exact).values()
     if law.actuators is not None:
         u = law.loop.asked(result).values
-        if beyond := commands_beyond(u, law.loop.commands, law.limits):
+        if beyond := commands_beyond(u, law.loop.commands, law.known_limits):
             yield beyond + CUT_OFF
     if not result.y.any() and law.loop.asked(result).any():
         yield (
