@@ -21,7 +21,7 @@ from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.models import state_sequence
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import next_v
-from ilctools.trials.recorded import parts_of, runs
+from ilctools.trials.parts import from_rest_to_rest, parts_of
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
@@ -101,11 +101,11 @@ class Replay:
         actuators = self.law and self.law.actuators
         known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
         model, outputs = self.model, []
-        for run in runs(known):
-            applied = run.get("applied", self.loop.asked(run))
+        for part in from_rest_to_rest(known):
+            applied = part.get("applied", self.loop.asked(part))
             if actuators is not None:
                 applied = actuators.follow(applied)
-            inputs = np.hstack([applied, run["disturbance"]])[:, : model.ninputs]
+            inputs = np.hstack([applied, part["disturbance"]])[:, : model.ninputs]
             x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
             outputs.append(x @ model.C.T + inputs @ model.D.T)
         return np.reshape(outputs, known.y.shape)

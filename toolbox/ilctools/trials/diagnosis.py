@@ -38,7 +38,7 @@ from ilctools.response.door import response_of
 from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 from ilctools.trials.learn import applied_v
-from ilctools.trials.recorded import runs, successions
+from ilctools.trials.parts import from_rest_to_rest, successions
 from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
 from ilctools.units import by_unit
 
@@ -210,7 +210,7 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
 
     And with `kept`, what Q never learns of the error without v.
     """
-    v = [applied_v(law, run) for run in runs(trials)]
+    v = [applied_v(law, part) for part in from_rest_to_rest(trials)]
     effect, spread = through(P, v, law.Ts).reshape(2, *trials.v.shape)
     free = trials.e.values + effect
     kept = AXES, free - law.Q.apply(free)  # (1 - Q) e_free
@@ -241,7 +241,7 @@ def dead_outputs(trials: xr.Dataset, law: Law, P: Callable, first: int) -> dict:
     still[: first - 1] = False
     if not still.any():
         return {}
-    w = [run["reference"] + applied_v(law, run) for run in runs(trials)]
+    w = [part["reference"] + applied_v(law, part) for part in from_rest_to_rest(trials)]
     moves, spread = through(P, [x - x[:1] for x in w], law.Ts).reshape(2, *y.shape)
     moves, spread = np.std(moves, axis=1), np.linalg.norm(_rms(spread), axis=1)
     surely = (1 - plant_error(law)) * moves - spread[:, None]

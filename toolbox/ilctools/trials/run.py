@@ -144,13 +144,13 @@ def _learned(simulated, following, reset, *inputs):
     references, flows, white = map(np.concatenate, inputs)
     with progress(total=len(references), desc="samples", delay=PATIENCE) as bar:
 
-        def run(w, now):
+        def respond(w, now):
             bar.update(len(w))
             if reset:
                 simulated.reset()
-            return simulated.run(w, flows[now], white[now])
+            return simulated.part(w, flows[now], white[now])
 
-        signals = joined(learn(run, following, references))  # (22), (23)
+        signals = joined(learn(respond, following, references))  # (22), (23)
     return {name: x.reshape(*inputs[0].shape[:2], -1) for name, x in signals.items()}
 
 
@@ -175,7 +175,7 @@ class _Simulated:
         """Begin a trial."""
         self.state = self.initial
 
-    def run(self, w, d, noise):
+    def part(self, w, d, noise):
         """The signals of a trial, or of a part of one."""
         inputs = np.hstack([w, d, noise])[:, : self.model.ninputs]  # P has w alone
         x, y, u = self.response(inputs)
