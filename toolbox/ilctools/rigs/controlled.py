@@ -14,7 +14,7 @@ from ilctools.rigs.interrupts import Interrupts
 from ilctools.trials.learn import Part, joined
 from ilctools.trials.start import Start
 
-STILL = 0.1  # of a trial, for which outputs that are back must stand still
+STANDSTILL = 0.1  # of a trial, for which outputs that are back must stand still
 LONGEST_PAUSE = 2.0  # trials, that is waited for this
 
 
@@ -66,7 +66,7 @@ class ControlledRig:
             self.state.place = f"pause before trial {trial}, sample {p + 1}"
             y = self.sample(w, flows)["y"]
             still = still + 1 if start.near(y, w) else 0
-            if samples is None and still >= STILL * length:
+            if samples is None and still >= STANDSTILL * length:
                 return ""
         text = f"before trial {trial} the outputs were not back and still after {longest} samples"
         return text if samples is None else ""

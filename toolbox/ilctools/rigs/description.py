@@ -16,7 +16,7 @@ from ilctools.rigs.limits import stop_limits
 from ilctools.rigs.protocol import Rig
 from ilctools.trials.learn import disturbances_of
 
-ROUNDED = ("v", "u", "delta", "disturbance")  # the signals that `decimals` can be about
+ROUNDED_SIGNALS = ("v", "u", "delta", "disturbance")  # the signals that `decimals` can be about
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def _signals(driver, loop):
 
 def _decimals(decimals):
     """The number of decimals by signal."""
-    checked = arguments.by_name("decimals", decimals, list(ROUNDED))
+    checked = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
     for signal, number in checked.items():
         arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
     return checked

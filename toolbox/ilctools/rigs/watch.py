@@ -13,7 +13,7 @@ from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import Part
 from ilctools.trials.start import Start
 
-LATE = 0.1  # sampling periods that a sample may be late or early
+LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
 EACH_TRIAL = {"pause", "clock", "rig"}  # of these kinds each trial is warned of, of others one
 
 
@@ -55,7 +55,7 @@ def warnings_of(
     if about.law is not None:
         texts |= diagnose(log, about.law, first=number)
         texts["start"] = _another_start(about, trials)
-    if off := [seconds for seconds in late if seconds > LATE * about.Ts]:
+    if off := [seconds for seconds in late if seconds > LATE_SAMPLE * about.Ts]:
         texts["clock"] = f"{len(off)} samples were not on time, by up to {max(off):.3g} s"
     return {kind: text and f"after trial {number}: {text}" for kind, text in texts.items()}
 
