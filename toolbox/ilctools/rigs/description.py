@@ -31,6 +31,11 @@ class RigSignals:
     disturbances: list[str]  # of the loop, which are known: those commanded, and those measured
 
     @cached_property
+    def of_outputs(self) -> str:
+        """What errors call the numbers that `read` returns; once, not in every sample."""
+        return f"reading of {', '.join(self.outputs)}"
+
+    @cached_property
     def measured_as(self) -> dict[str, str]:
         """What the rig measures beside y, and as which signal it is recorded."""
         not_commanded = [name for name in self.disturbances if name not in self.commanded]
