@@ -37,11 +37,11 @@ class Law:
     gain : float
         Learning gain a, in (0, 1].
     limits : dict, optional
-        Lowest and highest command, by the names of the loop's commands, in their units: v is then
-        projected onto what can be applied. {} stands for no limits at all, also on a rig that has
-        some. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere there are
-        none; the attribute then is :attr:`.LimitsOf.RIG`. Where an actuator is limited in its rate,
-        let the reference rise as slowly.
+        Lowest and highest command, by the names of the loop's commands, in their units. The law
+        then projects v onto what can be applied. {} stands for no limits at all, also on a rig that
+        has some. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere there
+        are none; the attribute is then :attr:`.LimitsOf.RIG`. Where an actuator is limited in its
+        rate, let the reference rise as slowly.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without one to theirs, and refuse a law for another.

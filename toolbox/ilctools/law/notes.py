@@ -189,9 +189,9 @@ def save_law(path, law: Law, note: str = "") -> None:
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
         shape (m, m, order), ends; if it looks back or has a base, first and base: null, or b,
         scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
-        gain) and ``actuators`` (the limits; {} for none at all, and without this key the rig's),
-        ``note``; and, for other languages, ``sections``,
-        the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``, the
+        second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+        The actuators {} stand for no limits at all; without this key the limits are the rig's.
         Other keys are refused where it is read; of the sections, only docs/law.c checks that they
         are those of Q: who changes Q by hand saves the law anew.
     law : Law
