@@ -272,7 +272,8 @@ def _cost_of_ends(first, half) -> Finding:
 
 def _rest_that_mends(design) -> tuple[int, float] | None:
     """A number of samples at rest that takes the norm of a trial below one, and that norm."""
-    problem, L, (samples, _) = design.problem, design.certificate.scaled_filter, design.certificate.trial
+    problem, certificate = design.problem, design.certificate
+    L, (samples, _) = certificate.scaled_filter, certificate.trial
     for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
         norm = max(
             trial_norm(P, problem.lowpass, L, samples, rest=int(rest))[0]
