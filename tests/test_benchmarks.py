@@ -6,14 +6,12 @@ from importlib import import_module
 from types import SimpleNamespace
 
 import bench_synthesis
-import constants
 import numpy as np
 import peers
 import pytest
 import regions
 import runner
 import survey
-import verdicts
 import watch
 import whole_way
 
@@ -62,13 +60,6 @@ def page(tmp_path, monkeypatch):
             r"\| furnace \| none \| 2 \| \d+ \| 0 \| 0\.00 \|"
             r".*gain \| not the model \| 1 \| 1 \| 3 \| 3 \|",
         ),
-        (  # of our moves, of steeper ones, and of a draw that has ours or the steeper ones
-            "verdicts",
-            [[verdicts.Group(verdicts.of_trials, [{"steeper": {"steepness": 1.5}}], 1)]],
-            r"\| \[`monotone`\]\(ledger.md#monotone\) \| < 1 \| 0\.525"
-            r" \| 0\.525 to 0\.584 \| never \|"
-            r".*`full_little`.* \| > 0\.667 \| 0\.559 \| 0\.559 to 0\.67 \| steeper",
-        ),
     ],
 )
 def test_a_few_cases_run_and_are_counted(name, few, said, page):
@@ -82,14 +73,6 @@ def test_regions_are_counted(monkeypatch):
     assert len(row) == len(regions.TITLES) and row[-1] == "2, 2" and row[3:5] == ["100.0%"] * 2
     row = regions.counted("a loop without its reference")
     assert row[2:8] == [""] * 6 and row[8:10] == ["2", "2"]
-
-
-def test_a_constant_is_changed_and_put_back(monkeypatch):
-    """JOINT is a factor of the radius."""
-    monkeypatch.setattr(constants, "RECORDS", 1)
-    monkeypatch.setattr(constants, "CHOSEN", ("steps",))
-    ((wide, less),), ((radius, off),) = (constants.changed("JOINT", factor) for factor in (2, 1))
-    np.testing.assert_allclose([wide, less], [2 * radius, off / 2])
 
 
 def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkeypatch):

@@ -50,7 +50,7 @@ BEGUN = {
     "lowest": ["uv"] * 3 + ["build/lowest/bin/pytest"],
     "newest": ["uv"] * 2 + ["build/newest/bin/pytest"],
     "measure WHAT=survey": ["benchmarks/survey.py"],
-    "measure WHAT=study": ["benchmarks/study.py"],  # which tests/test_benchmarks.py does not run
+    "measure WHAT=peers": ["benchmarks/peers.py"],  # which tests/test_benchmarks.py does not run
     "pages": ["sphinx-build"],
     "bench": ["benchmarks/bench_synthesis.py"],
     "lab": ["jupyter"],
