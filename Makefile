@@ -40,7 +40,7 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks; how much there is t
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 	$(BIN)/python -m rodlib.paper.rig_logs
 
-machines: $(BIN)/ready  ## make test with rounding varied, as on other processors: make machines SEED=2
+machines: $(BIN)/ready  ## make test with the kernels of another processor: make machines SEED=2
 	$(BIN)/python tools/machines.py $(SEED)
 
 mutants: $(BIN)/ready  ## change one thing at a time in rodlib, then in ilctools; list what no test notices (long)
