@@ -48,21 +48,32 @@ ARRAY = ["1", np.full((6, 1), np.nan), np.zeros((0, 1))]
 WRONG = {
     name: values
     for values, names in (
-        (THING, "rod nominal specimens spread parameters element known rig excitation loop law L"),
-        (THING, "problem log path time stop note delay of Q Qs Rs Qo Ro base everywhere"),
-        (THING, "objective reset limits units sizes outputs measured disturbance disturbances"),
-        (["1", np.nan], "ambient_rate"),
+        (
+            THING,
+            """rod nominal specimens spread parameters element known rig excitation loop law L Q
+            problem log path time stop note delay of Qs Rs Qo Ro base everywhere objective reset
+            limits units sizes outputs measured disturbance disturbances""",
+        ),
         (MODEL, "P plant system"),
-        (POSITIVE, "Ts cutoff conductivity density M_max L_max weight gain"),
-        (POSITIVE, "length width height heat_capacity heat_transfer limit noise quantum"),
-        (POSITIVE, "fan sink_capacity convection emissivity temperature reach"),
-        (POSITIVE, "share lowest highest amplitude hours lag steepness duration"),
-        (WHOLE, "degree cells modes order samples trials sections realisations decimals"),
-        (WHOLE, "number root lines seed rest pause"),
+        (
+            POSITIVE,
+            """Ts cutoff conductivity density M_max L_max weight gain length width height
+            heat_capacity heat_transfer limit noise quantum fan sink_capacity convection emissivity
+            temperature reach share lowest highest amplitude hours lag steepness duration""",
+        ),
+        (
+            WHOLE,
+            """degree cells modes order samples trials sections realisations decimals number root
+            lines seed rest pause""",
+        ),
+        (
+            ARRAY,
+            """omega s signal v e reference coefficients gains heat_flows sensors deviations
+            plateaus flows""",
+        ),
         ([1.5, "1"], "first trial scale initial_state"),
         (["1", -1.0], "uncertainty"),
-        (ARRAY, "omega s signal v e reference coefficients gains heat_flows"),
-        (ARRAY, "sensors deviations plateaus flows"),
+        (["1", np.nan], "ambient_rate"),
         ([1.5, "y", ["u", "u"]], "controls inputs"),
         ([1.5, "mirror"], "structure ends"),
         ([0.1, (1.0, 0.1), ("a", 1.0)], "band"),
