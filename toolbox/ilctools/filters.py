@@ -233,7 +233,7 @@ class LearningFilter:
     first: int = 1
 
     def __post_init__(self):
-        c = labels.matched("coefficients", self.coefficients, dict.fromkeys(AXES_OF_L))
+        c = labels.with_axes("coefficients", self.coefficients, AXES_OF_L)
         c = arguments.array("coefficients", c, ("m", "m", "order"))
         Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))

@@ -25,10 +25,6 @@ WORDS = {
     "pass 2 pi omega, as omega is in rad/s",
     "sign": "P is near {value:g} {place}, where a loop that tracks its reference has 1: is the "
     "sign of P reversed?",
-    "sensitivity": "P passes {value:.2g} {place} and is one at the highest frequencies, as the "
-    "sensitivity I - P is: P is the response from the reference, or v, to the output",
-    "inverse": "P is near one at the lowest frequency, and its gain grows to {value:.3g} {place}, "
-    "where its phase leads: is it the inverse of P?",
     "below": "sigma_max(M) may reach {value:.4g} {place}, where P is not known well enough: errors "
     "that slow may grow from trial to trial; measure P at lower frequencies, too",
     "narrow": "{place} decides the cut-off of Q: without that range it would be {value:.2g} rad/s "

@@ -9,7 +9,6 @@ import xarray as xr
 from scipy.fft import next_fast_len
 
 from ilctools import arguments
-from ilctools.labels import by_channel
 from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
@@ -147,7 +146,7 @@ def _amplitudes(amplitude, loop):
     """The largest |w| of each input."""
     m = len(loop.outputs)
     each = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
-    each = by_channel("amplitude", each, loop.outputs, loop.references)
+    each = arguments.by_channel("amplitude", each, loop.outputs)
     each = arguments.array("amplitude", each, (m,)).tolist()
     return [arguments.positive("amplitude", value) for value in each]
 

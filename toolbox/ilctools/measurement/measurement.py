@@ -12,7 +12,6 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.labels import is_labelled
 from ilctools.law.notes import limits_of, loop_of
 from ilctools.logs.format import few
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
@@ -140,12 +139,6 @@ def measured_response(
         for name, value in asked.items():
             raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
         return _warned(tabulated(log, uncertainty))
-    if is_labelled(log) and np.ndim(log) == 3:
-        raise ValueError(
-            "log is a labelled array of a frequency response: synthesise takes it as P; for a "
-            "measured response, make control.frd(log.transpose('output', 'input', 'frequency')"
-            ".values, log.frequency.values, Ts) of it"
-        )
     logs = log if isinstance(log, list | tuple) and log else [log]
     for one in logs:
         if not isinstance(one, xr.Dataset):

@@ -14,7 +14,6 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.labels import INPUT, matched
 from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET, limits_of, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
@@ -65,7 +64,7 @@ class Record:
         remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
         check_moved(u, inputs, f"{first}.{source}", remedy)
         check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
-        delay = _samples_of(matched("delay", delay, {INPUT: inputs}), len(inputs))
+        delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
         sizes = _sizes(u), _sizes(y)
         moving, known = _known_disturbances(moves)
         if moving:

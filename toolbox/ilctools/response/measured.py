@@ -5,7 +5,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ilctools import arguments
-from ilctools.labels import by_channel
 from ilctools.response.samples import Samples
 from ilctools.singular_values import largest_singular_values
 
@@ -62,8 +61,8 @@ class Measured:
         """
         omega, own = np.abs(arguments.row("omega", omega)), self
         if scale is not None:
-            inputs, outputs = self.names
-            scale = by_channel("scale", scale, outputs, inputs)
+            _, outputs = self.names
+            scale = arguments.by_channel("scale", scale, outputs)
             own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
         return own._on(omega, probability(confidence))
 
