@@ -46,7 +46,7 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
     nominal, *_ = signals.values()
     m = responses.shape[-1]
     scale = arguments.by_channel("scale", scale, (nominal.labels or range(m))[:m])
-    models, responses, ones = _in_units(scale, models, responses)
+    models, responses, units = _in_units(scale, models, responses)
     known = _accuracy(P, responses[0], omega, uncertainty, scale)
     return Response(
         omega=omega,
@@ -54,7 +54,7 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
         Ts=Ts,
         models=tuple(models),
         radius=known.radius if np.any(known.radius) else None,
-        scale=ones,
+        scale=units,
         signals=nominal,
         assumptions=known.assumptions,
         measured=isinstance(P, Measured) and P.estimated,
