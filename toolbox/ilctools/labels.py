@@ -2,15 +2,15 @@
 
 An argument that has axes, such as P with (frequency, output, input), takes a labelled array, too.
 
-- **Dimensions** decide which axis is which, wherever they stand: a DataArray with the dimensions
-  (frequency, input, output) is transposed. Other names than those of the argument are refused.
-  Where none of the dimensions has a name, they stand in the order of the argument.
-- **Frequencies** must be those of `omega`, in rad/s and in its order. Where `omega` is left out,
-  the frequencies of P, of Q or of the radius take its place.
-- **Names of channels** are those of P, as of a model: a plant with the same names in another order
-  is refused. Inputs that are named after the outputs stand in the order of the outputs. A number
-  for each channel, such as a scale, is put in the order of P by its names, see
-  :func:`.arguments.by_channel`.
+- **Dimensions** decide which axis is which: a DataArray with the dimensions (frequency, input,
+  output) is transposed. Other names are refused. If no dimension has a name, the axes stand in the
+  order of the argument.
+- **Frequencies** must be the values of `omega`, in rad/s and in the same order. If `omega` is left
+  out, the frequencies of P, of Q or of the radius take its place.
+- **Names of channels** are compared as the names of a model are: a plant that has the names of
+  another plant, or of the design, in another order is refused. If the inputs have the names of the
+  outputs, they are put in the order of the outputs. A scale is put in the order of the outputs of
+  P by its names, see :func:`.arguments.by_channel`.
 
 An index of whole numbers without a name only counts.
 """

@@ -154,11 +154,10 @@ def _is_plant(value):
 def _period(*systems):
     """The sampling period that Q, or else a plant, knows."""
     for system in systems:
-        system = system.loop if isinstance(system, Measured) else system
-        if isinstance(system, ZeroPhaseButterworth | Loop):
-            return system.Ts
-        if isinstance(system, control.LTI) and system.dt and system.dt is not True:
-            return system.dt
+        system = getattr(system, "loop", system)  # of a measured response
+        period = getattr(system, "Ts", getattr(system, "dt", None))
+        if period and period is not True:
+            return period
     raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
 
 

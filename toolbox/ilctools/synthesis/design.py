@@ -175,9 +175,8 @@ def synthesise(
         where P is not known. Of a Q that is left out: a narrow range of frequencies that lowers its
         cut-off to a half or less; a cut-off that is halved for the ends of a trial. Samples that
         scatter as noise does are not noticed: without `uncertainty` they count as exact. A table
-        also warns if it ends where one in Hz does, just below 1 / (2 Ts), if it begins at minus
-        one, or if it looks like the sensitivity or the inverse of a loop, see
-        :mod:`.problem.plausible`.
+        also warns if it ends where one in Hz does, just below 1 / (2 Ts), or if it begins at minus
+        one, see :mod:`.problem.plausible`.
 
     Raises
     ------
