@@ -52,7 +52,7 @@ WRONG = {
             THING,
             """rod nominal specimens spread parameters element known rig excitation loop law L Q
             problem log path time stop note delay of Qs Rs Qo Ro base everywhere objective reset
-            limits units sizes outputs measured disturbance disturbances""",
+            limits units sizes outputs measured disturbance disturbances executor""",
         ),
         (MODEL, "P plant system"),
         (

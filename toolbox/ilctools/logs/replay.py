@@ -25,6 +25,7 @@ from ilctools.trials.parts import from_rest_to_rest, parts_of
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
+from ilctools.warn import warn
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
 UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
@@ -283,5 +284,5 @@ def replay(trials: xr.Dataset) -> Replay:
         law = None  # whose projection cannot be computed
     result = Replay(trials, loop, law, resets=RESET not in trials.attrs)
     for text in result.warnings:
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return result

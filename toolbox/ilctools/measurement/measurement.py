@@ -4,7 +4,6 @@ The notes of :func:`measured_response` state the methods.
 """
 
 import reprlib
-import warnings
 
 import control
 import numpy as np
@@ -19,6 +18,7 @@ from ilctools.measurement.excitation import excitation_of
 from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.measurement.record import check_moved
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
+from ilctools.warn import warn
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
@@ -165,7 +165,7 @@ def measured_response(
 def _warned(measured):
     """A response for whoever called the caller, with a warning for each of its findings."""
     for finding in measured.findings:
-        warnings.warn(finding, stacklevel=3)
+        warn(finding)
     return measured
 
 

@@ -40,7 +40,7 @@ def pose(
     lowpass = lowpass_of(Q, response.omega)
     cutoff, chosen = lowpass.cutoff, []
     pooled = base == defaults.CHOOSE
-    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
+    M_max = checked_M_max(M_max)
     gain = _gain(response, lowpass, M_max, pooled)
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
@@ -55,8 +55,22 @@ def pose(
         base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
     return Problem(
-        response, lowpass, Q, objective, bounds, order, structure, base, chosen=tuple(chosen)
+        response,
+        lowpass,
+        Q,
+        objective,
+        bounds,
+        order,
+        structure,
+        base,
+        formula_will_do=pooled,
+        chosen=tuple(chosen),
     )
+
+
+def checked_M_max(M_max) -> float:
+    """The bound on sigma_max(M), in (0, 1)."""
+    return arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
 
 
 def _base(response, lowpass, structure, share, L_max, reach):

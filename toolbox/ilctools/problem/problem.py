@@ -68,6 +68,7 @@ class Problem:
     order: int  # number of samples that the learning filter looks ahead, or of those of K
     structure: str = "full"  # or "diagonal"
     base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
+    formula_will_do: bool = False  # whether L = B is wanted, if it keeps all bounds
     chosen: tuple[str, ...] = ()  # by default, in words
     costs: tuple[Finding, ...] = ()  # of what was chosen, where they are large
 

@@ -1,9 +1,9 @@
 """The door: plants in whatever form they are known become one Response."""
 
 import reprlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from numbers import Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
@@ -34,50 +34,73 @@ class Accuracy(NamedTuple):
 
 def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
     """What is known of P, which must match Q, if there is one; arguments of `synthesise`."""
+    return admitted(P, Ts, uncertainty, scale, Q).on(omega, Q)
+
+
+@dataclass(frozen=True)
+class Admitted:
+    """Plants that have passed the door, to be asked at any frequencies."""
+
+    P: Any  # as it was passed
+    plants: dict[str, Any]  # by their names in messages, the nominal one first
+    Ts: float  # sampling period, s
+    uncertainty: Any = None
+    scale: Any = None
+
+    def on(self, omega=None, Q=None) -> Response:
+        """What is known of them at omega; by default, at frequencies that suit Q."""
+        Ts = self.Ts
+        plants, uncertainty, omega = _on_omega(self.plants, self.uncertainty, omega, Ts, Q)
+        models, responses = _responses(plants, omega, Ts)
+        signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
+        check_match(**signals, Q=Q, grid=Signals(Ts))
+        of_table = omega, responses[0]
+        if isinstance(self.P, Measured):
+            of_table = self.P.omega, self.P.response
+        _refuse_other_units(*of_table, Ts)
+        nominal, *_ = signals.values()
+        m = responses.shape[-1]
+        scale = arguments.by_channel("scale", self.scale, (nominal.labels or range(m))[:m])
+        models, responses, units = _in_units(scale, models, responses)
+        known = _accuracy(self.P, responses[0], omega, uncertainty, scale)
+        return Response(
+            omega=omega,
+            P=responses,
+            Ts=Ts,
+            models=tuple(models),
+            radius=known.radius if np.any(known.radius) else None,
+            scale=units,
+            signals=nominal,
+            assumptions=known.assumptions,
+            measured=isinstance(self.P, Measured) and self.P.estimated,
+            one_at_first=_is_one(getattr(self.P, "loop", None), omega[:1]),
+            low=known.low,
+        )
+
+
+def admitted(P, Ts=None, uncertainty=None, scale=None, Q=None) -> Admitted:
+    """Plants in whatever form they are known, with their sampling period, or Q's."""
     plants = named(P)
-    _refuse_exchanged(Q, omega)
-    Ts = arguments.sampling_period("Ts", _period(Q, *plants.values()) if Ts is None else Ts)
-    plants, uncertainty, omega = _on_omega(plants, uncertainty, omega, Ts, Q)
-    models, responses = _responses(plants, omega, Ts)
-    signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
-    check_match(**signals, Q=Q, grid=Signals(Ts))
-    of_table = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
-    _refuse_other_units(*of_table, Ts)
-    nominal, *_ = signals.values()
-    m = responses.shape[-1]
-    scale = arguments.by_channel("scale", scale, (nominal.labels or range(m))[:m])
-    models, responses, units = _in_units(scale, models, responses)
-    known = _accuracy(P, responses[0], omega, uncertainty, scale)
-    return Response(
-        omega=omega,
-        P=responses,
-        Ts=Ts,
-        models=tuple(models),
-        radius=known.radius if np.any(known.radius) else None,
-        scale=units,
-        signals=nominal,
-        assumptions=known.assumptions,
-        measured=isinstance(P, Measured) and P.estimated,
-        one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
-        low=known.low,
-    )
+    _refuse_no_filter(Q)
+    Ts = _period(Q, *plants.values()) if Ts is None else Ts
+    return Admitted(P, plants, arguments.sampling_period("Ts", Ts), uncertainty, scale)
 
 
-def _refuse_exchanged(Q, omega):
-    """Refuse what is no Q, and a Q in the place of omega."""
+def _refuse_no_filter(Q):
+    """Refuse what is no Q."""
     if isinstance(Q, control.LTI | Real):
         raise ValueError(
             f"Q = {reprlib.repr(Q)} is no filter, or one that runs in one direction only: pass "
             "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
         )
-    if isinstance(omega, ZeroPhaseButterworth):
-        raise ValueError(
-            f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
-        )
 
 
 def _on_omega(plants, uncertainty, omega, Ts, Q):
     """Plants and radius with their axes in order, and omega, of which none may have another."""
+    if isinstance(omega, ZeroPhaseButterworth):
+        raise ValueError(
+            f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
+        )
     if omega is not None:
         omega = arguments.increasing_frequencies("omega", labels.in_radians("omega", omega), Ts)
     tables = {}

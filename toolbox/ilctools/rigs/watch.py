@@ -1,7 +1,5 @@
 """What there is to be warned of after a trial on a rig."""
 
-import sys
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +10,7 @@ from ilctools.rigs.description import RigDescription
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import Part
 from ilctools.trials.start import Start
+from ilctools.warn import warn
 
 LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
 EACH_TRIAL = {"pause", "clock", "rig"}  # of these kinds each trial is warned of, of others one
@@ -27,16 +26,8 @@ class Warner:
         """Warn of these kinds, where a text is not empty."""
         for kind, text in texts.items():
             if text and kind not in self.said:
-                warnings.warn(text, stacklevel=_levels_to_the_caller())
+                warn(text)
                 self.said |= {kind} - EACH_TRIAL
-
-
-def _levels_to_the_caller():
-    """How many calls above :meth:`Warner.warn` somebody called this room, for `stacklevel`."""
-    room, level, frame = __name__.rpartition(".")[0], 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").rpartition(".")[0] == room:
-        level, frame = level + 1, frame.f_back
-    return level
 
 
 def start_of(about: RigDescription, first: Part) -> Start:

@@ -1,8 +1,7 @@
 """From the problem to a filter with its certificate: the way through the synthesis."""
 
-import warnings
 from dataclasses import replace
-from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,15 +13,16 @@ from ilctools.evidence.finite import trial_norm
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
-from ilctools.problem.pose import pose, refuse_singular
+from ilctools.problem.pose import checked_M_max, pose, refuse_singular
 from ilctools.problem.problem import Problem, Solution
-from ilctools.response.door import LOWEST, response_of
+from ilctools.response.door import LOWEST, Admitted, admitted
 from ilctools.singular_values import largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
+from ilctools.warn import warn
 
 LONGEST_REST = 0.1  # of a trial: what may be given up at its end so that it does not grow
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
@@ -201,6 +201,9 @@ def synthesise(
     (0.01, 1)
     >>> law = design.law()
     """
+    if isinstance(base, str):
+        arguments.choice("base", base, [CHOOSE])
+        base = CHOOSE if order is None else None
     choices = {
         "M_max": M_max,
         "L_max": L_max,
@@ -210,34 +213,40 @@ def synthesise(
         "structure": structure,
         "objective": objective,
         "everywhere": everywhere,
+        "base": base,
         "order": order,
         "reach": reach,
     }
-    if isinstance(base, str):
-        arguments.choice("base", base, [CHOOSE])
-        base = CHOOSE if order is None else None
-
-    known = partial(response_of, P, omega, Ts, uncertainty, scale)
-
-    def designed_with(Q):
-        return designed(pose(known(Q), Q, base=base, **choices), base)
-
-    return warned(without_Q(known(), M_max, designed_with) if Q is None else designed_with(Q))
+    task = Task(admitted(P, Ts, uncertainty, scale, Q), omega, choices)
+    return warned(without_Q(task) if Q is None else designed(task.problem(Q)))
 
 
-def without_Q(response, M_max, designed_with) -> Synthesis:
+class Task(NamedTuple):
+    """All that is asked for, but for Q."""
+
+    plants: Admitted
+    omega: Any  # design frequencies; None: they follow from Q
+    choices: dict  # arguments of `pose`
+
+    def problem(self, Q) -> Problem:
+        """The problem with this Q."""
+        return pose(self.plants.on(self.omega, Q), Q, **self.choices)
+
+
+def without_Q(task: Task) -> Synthesis:
     """The design with the cut-off that P admits; with half of it, if a trial's ends might grow."""
+    response, M_max = task.plants.on(task.omega), checked_M_max(task.choices["M_max"])
     refuse_singular(response)
     limit, Ts = reached(response, M_max), response.Ts
     lowest = max(LOWEST * np.pi / Ts, response.omega[response.omega > 0][0])
 
-    def with_cutoff(cutoff):
-        return designed_with(ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts))
+    def lowpass(cutoff):
+        return ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
 
-    first = design = with_cutoff(limit.omega)
+    first = design = designed(task.problem(lowpass(limit.omega)))
     _, norm = first.certificate.trial
     if norm >= 1:
-        design = with_cutoff(limit.omega / 2)
+        design = designed(task.problem(lowpass(limit.omega / 2)))
     cutoff = design.Q.cutoff
     text, costs = f"Q with cut-off {cutoff:.4g} rad/s", []
     if norm >= 1:
@@ -283,9 +292,9 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
     return None
 
 
-def designed(problem: Problem, base) -> Synthesis:
+def designed(problem: Problem) -> Synthesis:
     """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
-    design = direct(problem) if base == CHOOSE else None
+    design = direct(problem) if problem.formula_will_do else None
     return certified(problem) if design is None else design
 
 
@@ -323,8 +332,7 @@ def _remedy(problem):
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each of its findings."""
     for found in design.certificate.warnings:
-        # warned, the door, its one thread, whoever called
-        warnings.warn(str(found), stacklevel=4)
+        warn(str(found))
     return design
 
 

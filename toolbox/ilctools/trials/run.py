@@ -7,7 +7,6 @@ and noise n on what the sensors report,
     u(p) = N w(p) - K_s x-hat(p) - delta(p)                                                  (18)
 """
 
-import warnings
 from functools import partial
 
 import control
@@ -25,6 +24,7 @@ from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import asked_of, disturbances_of, joined, learn, next_v
 from ilctools.trials.start import Start
+from ilctools.warn import warn
 
 
 def run_trials(
@@ -135,7 +135,7 @@ def run_trials(
     if not reset:
         result.attrs[RESET] = NO_RESET
     for text in _warnings(result, law, plant is None, reset and initial_state is None):
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return result
 
 

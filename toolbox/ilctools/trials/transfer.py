@@ -22,7 +22,6 @@ the trials has K s_c^2 / s_w^2 + 1 = 1 / rho times the variance that deviations 
 kernels, with one trial: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -35,6 +34,7 @@ from scipy.signal import oaconvolve
 from ilctools import arguments
 from ilctools.law.notes import RESET
 from ilctools.signals import Signals, check_match, period_of
+from ilctools.warn import warn
 
 GROWTH = 1.5  # from one lag of F to the next: fewer taps, a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
@@ -129,7 +129,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     result = _fitted(v, y, references, reference)
     for i, name in enumerate(outputs):
         for text in _warnings(result, i, name):
-            warnings.warn(text, stacklevel=2)
+            warn(text)
     return result
 
 

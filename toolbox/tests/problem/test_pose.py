@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from plants import bump, furnace, lags
+from plants import bump, furnace, lag, lags
 from problems import posed
 
 from ilctools import current_trial_loop, synthesise, zero_phase_butterworth
@@ -96,3 +96,10 @@ def test_what_does_not_fit_is_refused(changes, message):
     plain = {"P": COUPLED, "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND}
     with pytest.raises(ValueError, match=f"^{message}"):
         posed(**plain | changes)
+
+
+@pytest.mark.parametrize("Q", [None, zero_phase_butterworth(2, 0.3, 1.0)])
+def test_no_bound_on_M_is_taken_before_it_is_checked(Q):
+    """Without Q, the cut-off follows from it."""
+    with pytest.raises(ValueError, match=r"^M_max = '1' must be in \(0, 1\)"):
+        synthesise(lag(), Q, M_max="1")
