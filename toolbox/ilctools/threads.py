@@ -28,12 +28,11 @@ class SharedLimit:
     def __init__(self):
         self._lock = Lock()
         self._users = 0
-        self._limit = None  # knows how many threads there were before
 
     def __enter__(self):
         with self._lock:
             if not self._users:
-                self._limit = _of_the_process().limit(limits=1, user_api="blas")
+                self._limit = pools().limit(limits=1, user_api="blas")
                 _release()
             self._users += 1  # only now: where something raises above, nothing will exit
 
@@ -45,15 +44,9 @@ class SharedLimit:
                 _release()
 
 
-def _of_the_process():
-    """The libraries that have one number of threads for the whole process."""
-    layers = {pool.get("threading_layer") for pool in pools().info()}
-    return pools().select(threading_layer=list(layers - {None, OF_A_THREAD}))
-
-
 def _release():
     """Let other threads set limits: threadpoolctl obeys one thread until that leaves a context."""
-    with _of_the_process().limit():
+    with pools().limit():
         pass
 
 
@@ -71,7 +64,8 @@ def on_one_thread(function: Function) -> Function:
     @wraps(function)
     def held(*args, **keywords):
         of_this_thread = pools().select(threading_layer=OF_A_THREAD).limit(limits=1)
-        with ONE_THREAD, of_this_thread, watched(function.__name__):
+        # that first: the shared limit then finds one thread there, and gives one back
+        with of_this_thread, ONE_THREAD, watched(function.__name__):
             return function(*args, **keywords)
 
     return held
