@@ -33,7 +33,6 @@ class SharedLimit:
         with self._lock:
             if not self._users:
                 self._limit = pools().limit(limits=1, user_api="blas")
-                _release()
             self._users += 1  # only now: where something raises above, nothing will exit
 
     def __exit__(self, *error):
@@ -41,13 +40,6 @@ class SharedLimit:
             self._users -= 1
             if not self._users:
                 self._limit.restore_original_limits()
-                _release()
-
-
-def _release():
-    """Let other threads set limits: threadpoolctl obeys one thread until that leaves a context."""
-    with pools().limit():
-        pass
 
 
 ONE_THREAD = SharedLimit()
@@ -64,7 +56,9 @@ def on_one_thread(function: Function) -> Function:
     @wraps(function)
     def held(*args, **keywords):
         of_this_thread = pools().select(threading_layer=OF_A_THREAD).limit(limits=1)
-        # that first: the shared limit then finds one thread there, and gives one back
+        # The limit of this thread is set first and taken back last. So the shared limit finds and
+        # leaves one thread there, and threadpoolctl, which obeys no other thread until the one that
+        # has set a limit leaves a context, is free again when this one has ended.
         with of_this_thread, ONE_THREAD, watched(function.__name__):
             return function(*args, **keywords)
 

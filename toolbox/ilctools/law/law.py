@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ilctools import arguments
-from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning, check_square
+from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning
 from ilctools.law.limits import WEIGHT, Actuators, LimitsOf, check_solver, projected, stated_limits
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
@@ -160,7 +160,7 @@ class Law:
         v = arguments.in_columns("v", v, shape, self._names(v))
         v[samples - rest :] = 0
         if self.L is not None:
-            self._made(np.zeros(shape))  # which one for other trials refuses, before any is run
+            self.L.apply(np.zeros(shape))  # which one for other trials refuses, before any is run
         return v
 
     def next(self, v, e, u=None, applied=None) -> np.ndarray:
@@ -209,19 +209,13 @@ class Law:
         rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
         v, applied = self.applied(v, u, applied)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
-            learned = _finite(v + self._made(e))
+            learned = _finite(v + self.L.apply(e))
             following = _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
         following[..., v.shape[-2] - rest :, :] = 0
         if self.actuators is not None:
             weight = getattr(self.L, "weight", WEIGHT)
             following = projected(self.loop, self.actuators, v, applied, following, weight, rest)
         return arguments.labelled_as(labelled, following, names)
-
-    def _made(self, e):
-        """L e, a signal for each error: numpy would copy a single one to all channels."""
-        made = self.L.apply(e)
-        check_square("L", made.shape[-1], e.shape[-1])
-        return made
 
     def _names(self, *signals):
         """Names of the channels; of a law without a loop, labels cannot be matched with L."""

@@ -228,34 +228,8 @@ def dead_outputs(trials: SimpleNamespace) -> dict:
     A movement is the highest value less the lowest one. It counts if it is more than STILL of the
     reference's: a coarse sensor that shows no less movement within its resolution is not dead.
     """
-<<<<<<< HEAD
-    samples = np.shape(signals)[1]
-    response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, Ts))
-    spectra = np.fft.rfft(signals, 2 * samples, axis=1)[..., None]
-    both = np.stack([response @ spectra, radius[:, None, None] * spectra])[..., 0]
-    return np.fft.irfft(both, axis=2)[:, :, :samples]
-
-
-def dead_outputs(trials: xr.Dataset, law: Law, P: Callable, first: int) -> dict:
-    """Outputs that stand still in a trial in which P moves them, whatever its error or radius.
-
-    The movement that P predicts is that by w = r + v, from rest where w begins. It counts if it is
-    more than STILL of :func:`to_move`.
-    """
-    y = trials.y.values
-    still = np.ptp(y, axis=1) == 0
-    still[: first - 1] = False
-    if not still.any():
-        return {}
-    w = [part["reference"] + applied_v(law, part) for part in from_rest_to_rest(trials)]
-    moves, spread = through(P, [x - x[:1] for x in w], law.Ts).reshape(2, *y.shape)
-    moves, spread = np.std(moves, axis=1), np.linalg.norm(_rms(spread), axis=1)
-    surely = (1 - plant_error(law)) * moves - spread[:, None]
-    dead = still & (surely > STILL * to_move(trials))
-=======
     y, wanted, moves = (np.ptp(x[-1], axis=0) for x in (trials.y, trials.reference, trials.moves))
     dead = (y == 0) & (wanted > 0) & (moves > STILL * wanted)
->>>>>>> 2055e942 (Judge trials by one mean plant of a law from a file, and trim checks)
     if not dead.any():
         return {}
     outputs = ", ".join(trials.output[dead])

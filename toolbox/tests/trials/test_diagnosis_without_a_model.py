@@ -39,8 +39,8 @@ def table_of(plant):
     return np.moveaxis(plant(np.exp(0.01j * OMEGA), squeeze=False), -1, 0)
 
 
-def axis(gain=1.0, seed=0):
-    return RestartingModel(control.ss(gain * PLANT, inputs=["w1"]), noise=0.002, seed=seed)
+def axis(gain=1.0, plant=PLANT, noise=0.002):
+    return RestartingModel(control.ss(gain * plant, inputs=["w1"]), noise=noise)
 
 
 @pytest.fixture(scope="module")
@@ -52,14 +52,14 @@ def law():
 @pytest.mark.parametrize("gain", [0.4, 1.8])
 def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
     with pytest.warns(UserWarning, match="after trial [34]: the convergence rate"):
-        log = record(axis(gain), LOOP, law, REFERENCE, trials=6)
+        log = record(axis(gain), LOOP, law, REFERENCE, trials=4)
     assert not replay(log).warnings  # a log has no P
 
 
-@pytest.mark.parametrize(("gain", "seed"), [(1.0, 0), (0.92, 1), (1.08, 2)])
-def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
+@pytest.mark.parametrize("gain", [0.92, 1.08])
+def test_a_plant_within_the_radius_is_not_warned_of(law, gain):
     with warnings.catch_warnings(action="error"):
-        record(axis(gain, seed), LOOP, law, REFERENCE, trials=6)
+        record(axis(gain), LOOP, law, REFERENCE, trials=6)
 
 
 def test_the_rate_is_that_of_the_worst_plant_within_the_radius(law):
@@ -100,15 +100,6 @@ def test_what_Q_forgets_of_a_given_v_is_no_divergence(gain):
     size = rms(run).values
     assert size[1] > 1.4 * size[0]
     assert any("the error grows" in str(w.message) for w in seen) == (gain > 2)
-
-
-def test_trials_that_differ_by_noise_alone_leave_v_uncertain():
-    task = ClosedLoop(PLANT), Law(LOW, None), REFERENCE
-    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 400, 1))
-    trials = [run_trials(*task, trials=1, noise=white[None]) for white in noise]
-    with pytest.warns(UserWarning, match="may be off by") as seen:
-        assert len(repr(transfer(trials, -REFERENCE))) < 200
-    assert len(seen) == 1
 
 
 def of_file(law, tmp_path):
@@ -173,15 +164,12 @@ def test_an_output_that_stands_still_as_it_should_or_within_its_resolution_is_no
     assert "dead" not in diagnose(log, law.bound_to(LOOP), first=1)
 
 
-SLOWER = control.ss(control.tf([256], [1, 16, 256])).sample(0.01)  # by a quarter
-FASTER = control.ss(control.tf([676], [1, 26, 676])).sample(0.01)  # by 30 %
-
-
-@pytest.mark.parametrize("plant", [0.75 * PLANT, 1.3 * PLANT, SLOWER, FASTER])
-def test_a_plant_that_is_wrong_by_a_quarter_and_converges_is_no_news(law_alone, plant):
-    rig = RestartingModel(control.ss(plant, inputs=["w1"]), noise=0.01)
+@pytest.mark.parametrize(("gain", "omega"), [(0.75, 20), (1.3, 20), (1, 16), (1, 26)])
+def test_a_plant_that_is_wrong_by_a_quarter_and_converges_is_no_news(law_alone, gain, omega):
+    """In its gain, or slower or faster than the model, whose omega is 20 rad/s."""
+    plant = control.ss(control.tf([omega**2], [1, omega, omega**2])).sample(0.01)
     with warnings.catch_warnings(action="error"):
-        run = record(rig, LOOP, law_alone, REFERENCE, trials=6)
+        run = record(axis(gain, plant, noise=0.01), LOOP, law_alone, REFERENCE, trials=6)
     assert rms(run).values[-1] < 0.1 * rms(run).values[0]
 
 
