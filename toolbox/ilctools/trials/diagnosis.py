@@ -120,10 +120,8 @@ def error_grows(trials: SimpleNamespace) -> dict:
     multiple at once. First trials with a v that Q forgets, as another law or task had it, are no
     beginning: with e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
     """
-    forgotten, learned = (
-        np.linalg.norm(x, axis=(1, 2)) for x in (trials.forgotten, trials.learned)
-    )
-    begin = np.append(forgotten > GROWTH * learned, False).argmin()
+    taken, added = (np.sum(x**2, axis=(1, 2)) for x in (trials.forgotten, trials.learned))
+    begin = np.append(taken > GROWTH**2 * added, False).argmin()
     e, size = trials.e[begin:], trials.rms[begin:]
     if len(size) < 2:
         return {}
@@ -132,11 +130,10 @@ def error_grows(trials: SimpleNamespace) -> dict:
     rises, least = len(size) - 1 - before, GROWTH
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
-    growth = size[-1] / size[before]
-    if growth < least or size[-1] < AMPLIFICATION * np.linalg.norm(noise_std(e[0])):
-        return {}
+    growth, noise = size[-1] / size[before], np.linalg.norm(noise_std(e[0]))
     freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
-    if chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
+    by_chance = chance(growth, freedom, rises + 1) >= SIGNIFICANCE
+    if by_chance or growth < least or size[-1] < AMPLIFICATION * noise:
         return {}
     return {"trials": trials.trial[[begin + before, -1]], "rms": size[[before, -1]]}
 
