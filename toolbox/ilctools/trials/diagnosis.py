@@ -14,10 +14,10 @@ where its RMS rises by more than noise explains. How large noise is follows from
 themselves: it is what does not repeat, however coloured, and what v does not explain.
 
 P is that of the design with its radius, or else the loop's. A loop without P says nothing about how
-exact the P of its law is. Then (1) and (2) are taken for all plants (I + Delta) P with a relative
-error ||Delta|| of PLANT_ERROR at most, for which sigma_max(M) grows by the error times
-sigma_max(Q P L) at most. A plant that is wrong by a quarter learns more slowly, and is no news. A
-signal in another unit, whose Delta is near -I, is news.
+exact the P of its law is. Then (2) is taken for all plants (I + Delta) P with a relative error
+||Delta|| of PLANT_ERROR at most, which change the prediction by that fraction of P (v_{k+1} - v_k).
+A plant that is wrong by a quarter learns more slowly, and is no news. A signal in another unit,
+whose Delta is near -I, is news.
 
 An output is dead if it stands still in a trial in which P moves it.
 """
