@@ -117,11 +117,9 @@ def error_grows(trials: SimpleNamespace) -> dict:
     """Null hypothesis: errors of trials with one reference are noise of one variance.
 
     It is tested where the error rose several times in succession up to the last trial, or to a
-    multiple at once. First trials with a v that Q forgets, as another law or task had it, are no
-    beginning: with e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
+    multiple at once.
     """
-    taken, added = (np.sum(x**2, axis=(1, 2)) for x in (trials.forgotten, trials.learned))
-    begin = np.append(taken > GROWTH**2 * added, False).argmin()
+    begin = first_judged(trials)
     e, size = trials.e[begin:], trials.rms[begin:]
     if len(size) < 2:
         return {}
@@ -136,6 +134,15 @@ def error_grows(trials: SimpleNamespace) -> dict:
     if by_chance or growth < least or size[-1] < AMPLIFICATION * noise:
         return {}
     return {"trials": trials.trial[[begin + before, -1]], "rms": size[[before, -1]]}
+
+
+def first_judged(trials: SimpleNamespace) -> int:
+    """The first trial with a v that Q does not forget, as it forgets that of another law or task.
+
+    With e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
+    """
+    taken, added = (np.sum(x**2, axis=(1, 2)) for x in (trials.forgotten, trials.learned))
+    return np.append(taken > GROWTH**2 * added, False).argmin()
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
