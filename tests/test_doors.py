@@ -77,6 +77,7 @@ WRONG = {
         ([1.5, "y", ["u", "u"]], "controls inputs"),
         ([1.5, "mirror"], "structure ends"),
         ([0.1, (1.0, 0.1), ("a", 1.0)], "band"),
+        ([0.1, (0.0, 1.0), ("a", 1.0)], "L_high"),
     )
     for name in names.split()
 }
