@@ -22,7 +22,7 @@ from ilctools.law.limits import LimitsOf, named_limits
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.signals import Signals, check_match
 
-FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
+FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file, see `is_newer`
 # What is not noted, in a file and in a log; step is the learning gain, actuators are the limits.
 # A file leaves them to the rig, if it does not say {}; a log was made within those that it names.
 OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG}
@@ -81,6 +81,11 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
         return loop
 
     return read_note(trials, "loop", read)
+
+
+def is_newer(note: str) -> bool:
+    """Whether a note says what the first format cannot: L looks back, or has a base."""
+    return '"first":' in note
 
 
 def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
@@ -216,7 +221,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     arguments.instance("L", arguments.instance("law", law, Law).L, Filter)
     arguments.instance("note", note, str)
     notes = law_notes(law)
-    content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}
+    content = {"format": FORMATS[is_newer(text_of(notes))], "Ts": law.Ts, **notes, "note": note}
     text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
     keep_others(path, text[: text.index("law")])  # raw data, say
     write_whole(path, text)

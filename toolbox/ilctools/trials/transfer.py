@@ -44,7 +44,7 @@ PENALTY = 2.0  # unless F(0) /= 0 makes each trial so many times as likely
 RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
 TINY = np.finfo(float).tiny  # instead of a zero that divides
-ROUNDING = 1e-14  # of the power, below which residuals are rounding
+ROUNDED_POWER = 1e-14  # of the power, below which residuals are rounding
 PREDICTED = 0.9  # share of v + e with less of which a warning comes
 UNCERTAIN = 0.2  # share of v that may be uncertain without one
 AXES = ("trial", "time", "channel")
@@ -249,7 +249,7 @@ class _Fits:
         without = self.solve(rho, static, weight)[1:]
         no_F = np.zeros_like(without)
         power = self.squares(no_F).sum(axis=0)
-        floor = ROUNDING * np.where(power > 0, power, 1.0)
+        floor = ROUNDED_POWER * np.where(power > 0, power, 1.0)
         prior = self.K * np.log(PENALTY) if static == 1 else 0.0
         return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
