@@ -18,7 +18,6 @@ from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.models import state_sequence
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import next_v
 from ilctools.trials.parts import from_rest_to_rest, parts_of
@@ -101,14 +100,13 @@ class Replay:
             return None
         actuators = self.law and self.law.actuators
         known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
-        model, outputs = self.model, []
+        outputs = []
         for part in from_rest_to_rest(known):
             applied = part.get("applied", self.loop.asked(part))
             if actuators is not None:
                 applied = actuators.follow(applied)
-            inputs = np.hstack([applied, part["disturbance"]])[:, : model.ninputs]
-            x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
-            outputs.append(x @ model.C.T + inputs @ model.D.T)
+            inputs = np.hstack([applied, part["disturbance"]]).T[: self.model.ninputs]
+            outputs.append(control.forced_response(self.model, inputs=inputs, squeeze=False).y.T)
         return np.reshape(outputs, known.y.shape)
 
     @property

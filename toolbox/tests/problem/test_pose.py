@@ -75,7 +75,7 @@ def singular(dead):
 REFUSED = [  # arguments, and how the message begins
     ({"scale": [1.0, 0.0]}, "scale = "),
     ({"P": FEW}, "P is known at 3 frequencies"),
-    ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts"),
+    ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True must be Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),
     ({"P": []}, "P = .* holds no plant"),
     ({"P": singular(np.s_[:, 0])}, "P is singular at omega = "),
