@@ -33,7 +33,7 @@ def alone(lock: Path, refusal: str) -> Iterator[None]:
     """
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
         raise FileExistsError(f"{lock} is no regular file, or a link: remove it")
-    with open(lock, "a", encoding="utf-8", opener=_no_link) as file:
+    with open(lock, "a", encoding="utf-8") as file:
         try:
             if fcntl:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -42,11 +42,6 @@ def alone(lock: Path, refusal: str) -> Iterator[None]:
         except OSError:
             raise RuntimeError(refusal) from None
         yield
-
-
-def _no_link(path, flags):
-    """Open a file, but not where a link leads that was made a moment ago."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def regular(path: Path) -> Path:
