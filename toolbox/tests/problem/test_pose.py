@@ -76,6 +76,7 @@ REFUSED = [  # arguments, and how the message begins
     ({"scale": [1.0, 0.0]}, "scale = "),
     ({"P": FEW}, "P is known at 3 frequencies"),
     ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True must be Ts"),
+    ({"P": control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA, 2.0)}, "P.dt = 2.0 must be Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),
     ({"P": []}, "P = .* holds no plant"),
     ({"P": singular(np.s_[:, 0])}, "P is singular at omega = "),
