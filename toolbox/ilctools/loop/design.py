@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import LinAlgWarning, block_diag, schur, solve_discrete_are
 
 from ilctools import arguments
-from ilctools.loop.closed import CurrentTrialLoop
+from ilctools.loop.closed import CurrentTrialLoop, with_disturbance
 from ilctools.models import Model, controls_first, sampled_plant
 
 
@@ -138,18 +138,11 @@ def _gains(A, B, C, Qs, Rs, Qo, Ro):
     T, Z = schur(A, output="real")
     Za = block_diag(Z, np.eye(m))
     B, C, Qs, Qo = Z.T @ B, C @ Z, Z.T @ Qs @ Z, Za.T @ Qo @ Za
-    Ta, Ca = _with_disturbance(T, B, C)
+    Ta, Ca = with_disturbance(T, B, C)  # (15)
     Ks = _gain(T, B, Qs, Rs, "Qs and Rs")  # (26)
     KL = _gain(Ta.T, Ca.T, Qo, Ro, "Qo and Ro").T  # (29)
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(len(T)) - T + B @ Ks, B))
     return Ks @ Z.T, Za @ KL, N
-
-
-def _with_disturbance(A, B, C):
-    """A_a and C_a of (15), with A_d = C_d = I."""
-    n, m = B.shape
-    I, O = np.eye(m), np.zeros  # noqa: E741
-    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])  # (15)
 
 
 def _gain(A, B, Q, R, weights):
