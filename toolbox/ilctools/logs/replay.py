@@ -53,11 +53,6 @@ class Replay:
         return self.trials.trial.values.tolist()
 
     @property
-    def complete(self) -> bool:
-        """Whether all trials from 1 on are there."""
-        return self.numbers == [*range(1, len(self.numbers) + 1)]
-
-    @property
     def model(self) -> control.StateSpace | None:
         """Model of what the commands drive: the plant; of a ClosedLoop P, whose input is w."""
         if self.loop is None:
@@ -75,7 +70,8 @@ class Replay:
     @cached_property
     def simulated(self) -> xr.Dataset | None:
         """The same experiment on the model: the law, the references and the disturbances."""
-        if self.law is None or self.model is None or not self.complete:
+        complete = self.numbers == [*range(1, len(self.numbers) + 1)]
+        if self.law is None or self.model is None or not complete:
             return None
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
