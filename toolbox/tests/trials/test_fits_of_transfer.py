@@ -13,7 +13,8 @@ def test_what_a_fit_misses_below_rounding_makes_it_no_more_likely(seed):
     """Targets that the regressors give exactly: all fits that miss less than rounding are level.
 
     A fit with the weight w misses some w of a target, w^2 of its power, and rounding leaves some
-    ten EPS of the power. With a floor of ROUNDED_POWER the logarithm differs by their ratio at most.
+    ten EPS of the power. With a floor of ROUNDED_POWER the logarithm differs by no more than their
+    ratio.
     """
     rng = np.random.default_rng(seed)
     Phi, f = rng.standard_normal((3, 200, 4)), rng.standard_normal((4, 1))
