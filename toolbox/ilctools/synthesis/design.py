@@ -49,134 +49,64 @@ def synthesise(
     base: float | str | None = CHOOSE,
     reach=None,
 ) -> Synthesis:
-    """Design a learning filter for a plant, with a certificate of how fast trials converge.
+    """Design a learning filter L for a plant, with a certificate of how fast trials converge.
 
-    Of the law v_{k+1} = Q (v_k + L e_k) this is L: it minimises what a trial leaves of the error
-    before, sigma_max(M) with M = Q (I - P L), within bounds on that and on the gain of L. By a
-    formula, where that keeps the bounds, else by convex optimisation, (39) or (45) with (46) of
-    the paper. Such laws are explained in D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey
-    of iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
-
-    Defaults are for a plant that one does not know, and the certificate says what they are for this
-    one. Above Q's cut-off L only has to keep its bounds; how much noise it adds to v there,
-    trials with noise say (:func:`run_trials`).
+    Trials follow the law v_{k+1} = Q (v_k + L e_k). Each trial leaves M = Q (I - P L) of the error
+    before it. The filter makes sigma_max(M) small, and keeps bounds on sigma_max(M) and on its own
+    gain sigma_max(L). By default a formula gives the filter. Where that filter does not keep the
+    bounds, convex optimisation finds one, by (39), or by (45) and (46), of the paper.
 
     Parameters
     ----------
-    P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
-        Frequency response of the closed loop on `omega`, for any m: gain * exp(1j * phase), the
-        gain not in dB, the phase in rad; also as python-control's frequency response data, of exp(j
-        omega t): one of exp(-j omega t), whose phase leads, is to be conjugated first; or a
-        discrete-time model of it, state space or transfer function; of more than some four poles
-        sample the state space, ``control.sample_system(control.ss(plant), Ts)``, as coefficients
-        lose digits. Of a list the first is the
-        nominal plant, whose convergence is made fast; the bounds hold for all of them. What
-        :func:`measured_response` returns has its radius, in which the truth lies with a probability
-        of 0.99; for another, pass both of ``P.on(omega, confidence)`` as P and `uncertainty`.
-        A DataArray with the dimensions frequency, output and input is matched by name, as are
-        labelled Q, `uncertainty`, `scale` and `reference`, see :mod:`ilctools.labels`.
-        Samples are of what is sampled, with the hold, which python-control's data of a continuous
-        model lack, half a sample of delay: sample that first. Above the last frequency of samples,
-        P is taken for zero with a radius, its size there.
-    Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
-        Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
-        where P reaches: the least singular value of all plants is a tenth of what it is at rest
-        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If a
-        narrow range of frequencies decides, the certificate names it, and the cut-off without it.
-        If the norm of a trial of ten times the settling time, or of 1000 samples over all channels,
-        is one or more, half of that cut-off; the certificate then says by how many samples of rest
-        at the end of a trial, ``law(rest=...)``, the full cut-off can be had.
+    P : model, loop, array_like of shape (n, m, m), or measured response; or a list of them
+        The closed loop from v to y. A table is in rad/s and of exp(j omega t). Of a list the first
+        plant is the nominal one; the bounds hold for all of them.
+    Q : ZeroPhaseButterworth, or array_like of shape (n,), optional
+        The filter, or its samples on `omega`. Default: one of order 2, up to where P reaches.
     omega : array_like, shape (n,), optional
-        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
-        of python-control's frequency response data, or the labels of P, Q or `uncertainty`; of
-        models and measured responses 1000 of them, from a thousandth of Q's cut-off on. Of an
-        estimate from records they begin where one period fits into the longest record.
+        Design frequencies, rad/s. Default: those of a table, or 1000 up to the Nyquist frequency.
     Ts : float, optional
-        Sampling period, s; for arrays, of which none knows it.
+        Sampling period, s. Arrays need it.
     order : int, optional
-        Number of samples n_L that the learning filter looks ahead (44); or of K, see `base`.
-        Default: the samples by
-        which P lags beyond the least phase that its gain admits, and 4 / (cutoff Ts); at least 10,
-        and at most 60 or 20 beyond that lag. 300 at most: the time grows as its cube.
+        Samples that L looks ahead (44), or samples of K, at most 300. Default: from P and Q.
     M_max : float
-        Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
+        Bound on sigma_max(M), in (0, 1).
     L_max : float, None or "auto"
-        Bound on sigma_max(L), unit of w per unit of y. Default: eight times the largest gain that
-        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times the largest that inverts
-        P up to a thirtieth of the cut-off, unless that left more than two thirds of M_max of the
-        error. If `base` is a number or None, it is four times the gain that inverts P up to Q's
-        cut-off, rounded up to one digit. It holds between the frequencies of a coarse grid, and up
-        to the Nyquist frequency, too. None leaves it out: filters then compete up to the gain that
-        coefficients in doubles can hold, :attr:`.Problem.L_bound`, and where they look beyond the
-        ends of a trial, trials often diverge: ask :func:`trial_norm`.
+        Bound on sigma_max(L), in units of v per unit of y. None is no bound. Default: from the gain
+        that inverts P.
     L_high : (float, float), optional
-        A frequency, rad/s, and a further bound on sigma_max(L) from there on: L then learns less
-        noise there, without a lower cut-off of Q.
+        A frequency in rad/s, and a further bound on sigma_max(L) from there on. Trials then learn
+        less noise there, without a lower cut-off of Q.
     band : (float, float), optional
-        Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
-        lowest of `omega` to Q's cut-off.
+        Lowest and highest frequency of the sum in (39), rad/s. Default: up to Q's cut-off.
     reference : array_like, shape (time, m), optional
-        In the place of the band: the reference of a trial, in the outputs' units, labelled ones
-        matched by name. The sum is then weighted by the spectrum of the first trial's error,
-        |(I - P) r| of the channels divided by `scale`, and the certificate predicts the RMS of the
-        error of this reference, far from the ends of a trial: what it asks for in the first
-        samples, before P answers, is never learned, and not counted.
+        A reference, whose first error weights the sum in place of the band. The certificate then
+        predicts its RMS errors.
     structure : {"full", "diagonal"}
-        Whether each error acts on all channels, or on its own only.
+        Whether each error acts on all channels, or on its own channel only.
     objective : {"sum", "peak"}
-        "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
-        largest over all plants.
+        The sum (39) for the nominal plant, or the peak (45) of all plants.
     scale : array_like, shape (m,), optional
-        What counts as equally large in each channel. Singular values, `L_max` and the certificate
-        are then those of the channels divided by it, so that units do not matter. Default: ones;
-        pass it where one unit of a channel is much less than one of another, or the filter is made
-        for the largest number alone.
-    uncertainty : array_like, shape (n,), or float, optional
-        Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
-        the channels in units of `scale`, by a condition that is exact. One number is relative to
-        sigma_max(P) of the first plant at each frequency: 0.05 is 5 %. Between them it runs
-        straight: pass `omega` that resolves narrow resonances. Without it samples count as
-        exact, noise and all: what is promised holds for them, not for the plant.
+        What counts as equally large in each channel. Default: ones.
+    uncertainty : float, or array_like of shape (n,), optional
+        Radius r: the bounds hold for all P + Delta with ||Delta|| <= r. A number is a share of
+        sigma_max(P) at each frequency: 0.05 is 5 %.
     everywhere : bool
-        Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
-        without a radius by a grid that proves it, on which they are lower by 1e-5; else from the
-        first to the last of `omega`, on a dense grid, on which they are lower by 3e-4, where cubic
-        splines run through samples, within what they may miss, and straight lines through the
-        radius, both over omega or log omega, whichever predicts every other sample better. The sum
-        is that over `omega`. It takes three times as long in the median, at worst a hundred times.
+        Whether the bounds hold at all frequencies, and not on `omega` only.
     base : float, None or "auto"
-        L = B K with B = (P* P + b^2)^-1 P*, the operator of :class:`NormOptimal`. It undoes poles
-        and zeros of P next to the unit circle, for which a finite filter is too short. None is the
-        paper's L, and the default if `order` is given. A number in (0, 1) is b in units of the
-        largest sigma_max(P) up to Q's cut-off; of a list, B is then that of the first plant. The
-        default is b = 1 / (2 L_max), with which sigma_max(B) is L_max at most, of all plants of a
-        list, see :mod:`ilctools.base`: L = B itself, where all bounds hold for it, without a
-        search. Else, and for a `reference` or the objective "peak", the convex problem decides K,
-        of `order` samples, 21 if that is not given, as many back as ahead, with a sigma_max(K) of
-        four at most. Of a diagonal filter B is that of P_ii.
+        B of L = B K. None is the paper's finite L, and the default if `order` is given.
     reach : int, optional
-        B as a finite filter, of so many samples at most each way, as C, a PLC and trials without
-        reset need it; without B, as if `order` is given, it does not count. Default: of a model, B
-        with the ends of a trial; of samples, as many as change sigma_max(M) by less than 1e-4.
+        B as a finite filter of so many samples each way, as C, a PLC and trials without reset need.
 
     Returns
     -------
     Synthesis
-        With its certificate. What it says about all frequencies is proven if P and Q are models
-        without a radius. Else it is read off splines and a radius that is interpolated, between
-        the first and the last frequency, see `everywhere`.
+        The design: ``.law()`` for trials, ``.filter``, ``.rate``, ``.margins``, ``.check(plant)``.
 
     Warns
     -----
     UserWarning
-        For each of the certificate's `warnings`: bounds passed between the frequencies by a quarter
-        of 1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to
-        one there, a filter that leaves nearly all of the error, a Q that no filter can make up for
-        where P is not known. Of a Q that is left out: a narrow range of frequencies that lowers its
-        cut-off to a half or less; a cut-off that is halved for the ends of a trial. Samples that
-        scatter as noise does are not noticed: without `uncertainty` they count as exact. A table
-        also warns if it ends where one in Hz does, just below 1 / (2 Ts), or if it begins at minus
-        one, see :mod:`.problem.plausible`.
+        For each of the certificate's `warnings`, which say what speaks against the design.
 
     Raises
     ------
@@ -191,14 +121,77 @@ def synthesise(
     convergence : what another filter does
     trial_norm : what one trial, with its two ends, does to v
 
+    Notes
+    -----
+    **P.** A table is gain * exp(1j * phase), the gain not in dB, the phase in rad. A table of
+    exp(-j omega t), whose phase leads, is to be conjugated first. Its samples belong to the sampled
+    plant with its hold. python-control's data of a continuous model lack the hold, half a sample of
+    delay: sample the model first. A transfer function with more than some four poles loses digits:
+    pass ``control.sample_system(control.ss(plant), Ts)``. A labelled array is matched by name, see
+    :mod:`ilctools.labels`. What :func:`measured_response` returns has a radius of its own, for a
+    probability of 0.99; for another one pass both of ``P.on(omega, confidence)``. Without a radius
+    samples count as exact, noise included.
+
+    **Q.** Without Q, the cut-off is where the least singular value of all plants is a tenth of its
+    value at rest, or where the plants differ as much as M_max allows, see
+    :mod:`.synthesis.cutoff`. If a narrow range of frequencies decides, the certificate names the
+    range, and the cut-off without it. If the norm of a trial is one or more, the cut-off is halved;
+    the certificate then says which ``law(rest=...)`` makes the full cut-off possible. That trial
+    lasts ten times the settling time, or 1000 samples over all channels.
+
+    **Order and gain.** `order` is the delay of P, beyond the least phase that its gain admits, plus
+    4 / (cutoff Ts); at least 10, and at most 60 or 20 beyond that delay. `L_max` is eight times the
+    largest gain that inverts P up to Q's cut-off, and at most 20 times the largest that inverts P
+    up to a thirtieth of it, unless that leaves more than two thirds of M_max of the error. If
+    `base` is a number or None, `L_max` is four times the gain that inverts P up to the cut-off.
+    `L_max` also holds between the frequencies of a coarse grid. Without it, filters compete up to
+    the gain that doubles can hold, see :attr:`.Problem.L_bound`; where they look beyond the ends of
+    a trial, trials often diverge: ask :func:`trial_norm`.
+
+    **All frequencies.** Bounds and rate are proved between the frequencies if P and Q are models
+    without a radius. Else cubic splines run through the samples, and straight lines through the
+    radius, between the first and the last frequency, over omega or log omega, whichever predicts
+    every other sample better. A radius needs an `omega` that resolves narrow resonances. Above the
+    last sample P is zero within a radius, its size there. With `everywhere` the bounds hold on a
+    grid on which they are lower by 1e-5 (proved) or 3e-4; this takes three times as long in the
+    median, and at worst a hundred times.
+
+    **Base.** B = (P* P + b^2)^-1 P* undoes poles and zeros of P next to the unit circle, for which
+    a finite filter is too short. By default b = 1 / (2 L_max), so that sigma_max(B) is L_max at
+    most, and B is of all plants. If L = B keeps all bounds, the design is L = B. Else, and with a
+    `reference` or the objective "peak", convex optimisation finds K, of 21 samples or `order`, as
+    many back as ahead, with a sigma_max(K) of four at most. A number in (0, 1) is b as a share of
+    the largest sigma_max(P) up to Q's cut-off, and B is then of the first plant. Of a model B knows
+    the ends of a trial. Of samples B has as many taps as change sigma_max(M) by less than 1e-4.
+
+    **Reference.** The sum is weighted by the spectrum of the first error, (I - P) r, of the
+    channels divided by `scale`. What the reference asks for before P answers is never learned, and
+    not counted.
+
+    Laws of this form are explained in D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
+    iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
+
     Examples
     --------
     >>> import control
     >>> from ilctools import synthesise, zero_phase_butterworth
-    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)  # a drive
     >>> design = synthesise(P, zero_phase_butterworth(2, 40.0, 0.01))
-    >>> round(float(design.sigma_M.max()), 2), design.problem.order
-    (0.01, 1)
+    >>> rate, margins, gains, *_ = str(design).splitlines()
+    >>> print(rate)
+    rate at most 0.0072, at all frequencies, proven; largest near 64 rad/s
+    >>> for part in [*margins.split(", "), *gains.split(", ")]:
+    ...     print(part)
+    ...
+    margins: gain 100 % lower to 100 % higher
+    delay 4.7 samples less to 4.7 more
+    46 % faster to 100 % slower
+    any error of 200 % of sigma_max(P) at the cut-off
+    P is 1 at rest
+    Q's cut-off 40 rad/s
+    where P lags by 1 samples
+    sigma_max(L) 20
+    norm of a trial of 441 samples 0.312
     >>> law = design.law()
     """
     if isinstance(base, str):
