@@ -1,11 +1,29 @@
-import re
+"""Logs in our format: read however they are written, or refused in a few printable words."""
 
+import re
+import warnings
+
+import control
+import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plants import bump
 
-from ilctools import load_log
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    law_of,
+    load_log,
+    replay,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
 from ilctools.errors import LogError
-from rodlib.paper import ROOT
+from ilctools.law.notes import with_law
 
 SIGNALS = (
     '{"outputs": {"depth": "mm"}, "controls": {"valve, left": "l/min"}, '
@@ -57,6 +75,9 @@ def test_a_log_written_by_hand_is_read(good):
         ("1.0,0.5", "1_0.0,0.5", "reference_depth: entry '1_0.0' in row 0"),
         ("Ts: 1.0 s", f"Ts: {'x' * 200_000} s", "Ts = nan must be"),
         ("log 2", "l" * 200_000, "format is"),
+        ("Ts: 1.0 s", "Ts: 1.0", "Ts is '1.0', but must be a number and a unit"),
+        ("Ts: 1.0 s", "Ts: s", "Ts is 's', but must be a number and a unit"),
+        ("# Ts: 1.0 s\n", "", "Ts is '', but must be a number and a unit"),
     ],
 )
 def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
@@ -85,7 +106,7 @@ def test_what_means_the_same_is_read_alike(tmp_path, good, text):
 
 
 def test_a_last_number_that_may_be_torn_is_not_read(tmp_path, good):
-    for cut in range(1, len(ROWS[-1])):
+    for cut in (1, 2, 5, len(ROWS[-1]) - 1):
         with pytest.warns(UserWarning, match="left out"):
             trials = load_log(write(tmp_path, GOOD[:-cut]))
         assert trials.identical(good[{"trial": slice(2)}])
@@ -98,7 +119,56 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
         load_log(tmp_path / "nowhere.csv")
 
 
-def test_the_example_in_the_readme_of_data_is_a_log(tmp_path):
-    text = (ROOT / "data" / "README.md").read_text(encoding="utf-8")
-    example = text.split("```text\n")[1].split("```")[0]
-    assert load_log(write(tmp_path, example)).y.values.ravel().tolist() == [98.2, 98.3]
+HOSTILE = [
+    *["-1", "0", "1e999", "nan", "1e-99", "1" * 5000, "1_000", "٣", "null", "{}"],
+    *['"', "\\", '"\\ud800"', "\\u202e", "\x1b[2J", "\x85", "\x00", "\ufeff"],
+    *["\n", "\r", ",", "# Ts: 1 s\n", "[" * 2000, '{"a": 1, "a": 2}', ""],
+]
+ACCIDENTS = st.lists(
+    st.tuples(
+        st.booleans(),  # in the head
+        st.floats(0, 1),  # where
+        st.sampled_from([0, 1, 3, 30, 3000]),  # how much goes
+        st.sampled_from(HOSTILE) | st.text(max_size=3) | st.none(),  # what comes; or it twice
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """With a law and a loop, without a reset, with limits."""
+    path, texts = tmp_path_factory.mktemp("logs") / "log.csv", []
+    model = control.ss(0.8, 0.2, 1, 0, 0.1, inputs=["w"], outputs=["x"])
+    loop = ClosedLoop(model, units={"x": "mm"})
+    Q, L = zero_phase_butterworth(2, 3.0, 0.1), LearningFilter([[[0.5]]], 0.1)
+    for limits, reset in (({}, True), ({}, False), ({"w": (-0.5, 0.9)}, True)):
+        law = Law(Q, L, limits=limits, loop=loop)
+        with warnings.catch_warnings(action="ignore"):
+            run = run_trials(loop, law, bump(90, [1.0]), trials=3, reset=reset)
+        save_log(with_law(run, law), path)
+        texts.append(path.read_text(encoding="utf-8"))
+    return path, texts
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2), ACCIDENTS)
+def test_a_log_with_accidents_is_read_or_refused_in_a_few_printable_words(logs, kind, accidents):
+    path, texts = logs
+    text = texts[kind]
+    for in_head, where, length, new in accidents:
+        start = int(where * (text.rfind("\n#") + 200 if in_head else len(text)))
+        old = text[start : start + length]
+        text = text[:start] + (2 * old if new is None else new) + text[start + length :]
+    path.write_bytes(text.encode(errors="surrogatepass"))
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            log = load_log(path)
+            assert all(np.isfinite(log[name]).all() for name in ("reference", "v", "y"))
+            law_of(log)
+            said = str(replay(log))
+    except ValueError as error:  # a LogError is one
+        said = str(error)
+        assert len(said) < 5000
+    assert said.replace("\n", "").isprintable()

@@ -1,12 +1,22 @@
 """A log is replayed with the law and the loop that it names; what it lacks is left out."""
 
+import warnings
+
 import control
 import numpy as np
 import pytest
 from plants import LEVELS, PUMPS, altered, bump, random_plant, stage, tanks
-from replayed import law_for, trials_of
 
-from ilctools import Law, current_trial_loop, load_log, replay, run_trials, save_log
+from ilctools import (
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    load_log,
+    replay,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
 from ilctools.law.notes import RESET, with_law
 from ilctools.logs.replay import rms_by_trial
 
@@ -17,8 +27,26 @@ LOOPS = {
     "feedthrough": current_trial_loop(random_plant(np.random.default_rng(3)), ["u1", "u2"]),
 }
 
-
 OMITTED = ["simulation", "prediction"]
+
+
+def law_for(loop, rest=0, gain=1.0, learning=0.5):
+    m = len(loop.outputs)
+    L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0, learning], loop.Ts)
+    Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
+    return Law(Q, L, rest, gain, loop=loop)
+
+
+def trials_of(loop, law=None, trials=3, plant=None):
+    """A smooth reference; disturbances that differ from trial to trial."""
+    law, time = law or law_for(loop), np.arange(150)
+    m, d = len(loop.outputs), len(loop.disturbances)
+    r = bump(150, 1.0 + np.arange(m))
+    waves = np.multiply.outer(1.0 + np.arange(trials), np.sin(0.05 * time)) + 1
+    waves = np.repeat(waves[..., None], d, axis=2)
+    with warnings.catch_warnings(action="ignore"):  # not all of them converge
+        run = run_trials(loop, law, r, waves, trials, plant=plant)
+    return with_law(run, law)
 
 
 @pytest.mark.parametrize("name", LOOPS)

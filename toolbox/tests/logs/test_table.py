@@ -4,14 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ilctools import load_log, read_table, save_log
+from ilctools import read_table
 from ilctools.errors import LogError
 from ilctools.signals import dataset
-from rodlib.paper import ROOT
 
-BOARD = ROOT / "data" / "tclab" / "board-1s.csv"
-OUTPUTS = {"T1": "Temperature 1", "T2": "Temperature 2 (degC)"}
-INPUTS = {"Q1": "Heater 1 (%)", "Q2": "Heater 2"}
 SAMPLES = np.arange(30)
 LEVEL = 30 - 0.25 * SAMPLES
 VALVE = 10.0 * (SAMPLES % 8 < 4)
@@ -82,23 +78,6 @@ def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message)
         read(tmp_path, lines)
 
 
-def board(**more):
-    columns = {"time": "Time", "outputs": OUTPUTS, "inputs": INPUTS}
-    return read_table(BOARD, **columns | more)
-
-
-def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
-    log, table = board(), pd.read_csv(BOARD, skipinitialspace=True).to_numpy()
-    np.testing.assert_array_equal(log.u[0], table[:, 1:3])
-    np.testing.assert_array_equal(log.y[0], table[:, 3:5])
-    assert log.attrs["Ts"] == 1.0 and log.output_unit.values.tolist() == ["degC"] * 2
-    assert log.attrs["clock"].startswith("steps from 0.9903 to 1.021 s, median 1.001")
-    save_log(log, tmp_path / "log.csv")
-    assert load_log(tmp_path / "log.csv").identical(log)
-    with pytest.raises(LogError, match=r"format is None.*read_table"):
-        load_log(BOARD)
-
-
 def test_trials_in_a_table_of_others_are_those_that_were_run():
     """With a clock in minutes that jitters."""
     rng, Ts = np.random.default_rng(0), 0.1
@@ -137,17 +116,19 @@ def test_a_data_frame_is_read_as_it_is():
     ("more", "message"),
     [
         ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
-        ({"time": 7}, "time = 7 must be .* from 0 to 6"),
-        ({"reference": {"T1": 5}}, "missing are .*'reference_T2'"),
+        ({"time": 7}, "time = 7 must be .* from 0 to 2"),
+        ({"reference": {"h": 1}, "v": {}}, "missing are .*'v_h'"),
         ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be"),
-        ({"time": None, "Ts": None}, "Ts = None"),
+        ({"time": None}, "Ts = None"),
         ({"units": {"T3": "degC"}}, "units is about"),
-        ({"Ts": 1e-3}, r"Ts = 0.001 s \(598 of 598 steps differ\)"),
+        ({"Ts": 1e-3}, r"Ts = 0.001 s \(29 of 29 steps differ\)"),
     ],
 )
 def test_what_a_table_does_not_have_is_named(more, message):
+    frame = pd.DataFrame({"Time (sec)": 1.0 * SAMPLES, "level": LEVEL, "valve": VALVE})
+    asked = {"time": "Time", "outputs": {"h": "level"}, "inputs": {"q": "valve"}}
     with pytest.raises(ValueError, match=message):
-        board(**more)
+        read_table(frame, **asked | more)
 
 
 @pytest.mark.parametrize(
