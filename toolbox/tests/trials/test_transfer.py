@@ -21,9 +21,6 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.trials.rms import rms
-from rodlib import midr
-from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.rigs import MISMATCHED
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:(v for|F predicts|the convergence rate|commands were)"
@@ -95,28 +92,6 @@ def test_one_task_distinguishes_a_repeating_disturbance_from_the_reference(repea
     assert alone.uncertainty.min() > 0.5 * np.sqrt(np.mean(NEW**2))
     with pytest.warns(UserWarning, match="distinguish"):
         transfer(trials[-1].isel(trial=0), -OLD)
-
-
-def test_a_disturbance_that_came_in_between_is_reported(loop):
-    """On the rod."""
-    plant = control.sample_system(midr(MISMATCHED, 6), 1.0, "zoh")
-    names = {"inputs": MISMATCHED.inputs, "outputs": MISMATCHED.outputs}
-    plant = control.ss(*control.ssdata(plant), 1.0, **names)
-    law = Law(zero_phase_butterworth(2, 0.1, 1.0), NormOptimal(loop.P, 1e-2, 2500))
-
-    def run(*task, **more):
-        return run_trials(loop, law, *task, plant=plant, **more)
-
-    came, old = assumed_disturbance(trials=8, first=4), assumed_reference()
-    done, new = run(old, came, 8), old[:, ::-1]
-    with pytest.warns(UserWarning, match="another disturbance came") as seen:
-        transfer(done, new)
-    assert seen[0].filename == __file__
-    since = done.isel(trial=slice(3, None))
-    assert transfer(since, old).predicted.min() > 0.9
-    after = transfer(since, new).v
-    error, unlearned = (rms(run(new, came[-1], 1, v=v).e).item() for v in (after, None))
-    assert error < 0.1 * unlearned
 
 
 def test_the_uncertainty_is_of_the_size_of_the_error():
