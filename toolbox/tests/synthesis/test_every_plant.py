@@ -1,6 +1,6 @@
 """No plant within radius and list exceeds, at any frequency, what a certificate says of all.
 
-Judged on 20,000 frequencies by plants that exist: models by their transfer function, samples and
+Judged on 5,000 frequencies by plants that exist: models by their transfer function, samples and
 the radius by the interpolation that the certificate states, the worst Delta by power iteration.
 """
 
@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import sampled_plant
 
-POINTS = 20_000
+POINTS = 2500
 PASSED = 1 + 1e-6
 
 
@@ -76,33 +76,25 @@ def reached(M, L, rho):
     return best
 
 
-def judged(design, plants, truth, Q, omega, radius, said):
-    """The worst sigma_max of M and L on a dense grid; of M, where it is near what is said."""
+def judged(design, plants, truth, Q, omega, radius):
+    """The worst sigma_max of M and L on a dense grid."""
     axis, first, last = design.problem.response.samples[0].axis, omega[0], omega[-1]
-    dense = np.concatenate(
-        [np.linspace(0, np.pi, POINTS // 2), np.geomspace(first, last, POINTS // 2)]
-    )
-    dense = np.sort(np.minimum(dense, np.pi))
+    dense = np.concatenate([np.linspace(0, np.pi, POINTS), np.geomspace(first, last, POINTS)])
+    dense = np.sort(dense.clip(max=np.pi))
     inside = (dense >= first) & (dense <= last)
-    L = design.filter.frequency_response(dense)
-    q, identity, worst = Q.frequency_response(dense), np.eye(L.shape[1]), 0.0
+    L, q, worst = design.filter.frequency_response(dense), Q.frequency_response(dense), 0.0
     rho = np.zeros(len(dense))
     if radius is not None:
         rho[inside] = np.interp(axis(dense[inside]), axis(omega), radius)
     entries, off = truth
     first_P = response(entries, dense)
     for given, factor in zip(plants, off, strict=True):
-        at, P = np.ones_like(inside), factor @ first_P
+        at, P = slice(None), factor @ first_P
         if isinstance(given, np.ndarray):
             at, P = inside, CubicSpline(axis(omega), given)(axis(dense[inside]))
-        M, r = q[at, None, None] * (identity - P @ L[at]), (q * rho)[at]
-        most = np.linalg.norm(M, axis=(1, 2)) + r * np.linalg.norm(L[at], axis=(1, 2))
-        high = (most > 0.99 * said) & (most >= np.sort(most)[-POINTS // 10])
-        if not high.any():
-            continue
-        worst = max(worst, reached(M[high], L[at][high], r[high]).max())
-    high = np.argsort(-np.linalg.norm(L, axis=(1, 2)))[: POINTS // 5]
-    return worst, np.linalg.norm(L[high], 2, axis=(1, 2)).max()
+        M = q[at, None, None] * (np.eye(L.shape[1]) - P @ L[at])
+        worst = max(worst, reached(M, L[at], (q * rho)[at]).max())
+    return worst, np.linalg.norm(L, 2, axis=(1, 2)).max()
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -117,6 +109,6 @@ def test_no_certificate_is_exceeded(seed):
         design = synthesise(plants, Q, omega, 1.0, **asked)
     certificate, radius = design.certificate, asked.get("uncertainty")
     most = certificate.all_M, certificate.all_L
-    M, L = judged(design, plants, truth, Q, omega, radius, most[0])
+    M, L = judged(design, plants, truth, Q, omega, radius)
     L_max = design.problem.L_max
     assert max(M / most[0], L / most[1], most[0] / asked["M_max"], most[1] / L_max) <= PASSED
