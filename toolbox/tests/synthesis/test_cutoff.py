@@ -7,50 +7,10 @@ import numpy as np
 import pytest
 from plants import LOOPS, lag
 
-from ilctools import measured_response, synthesise, trial_norm, zero_phase_butterworth
+from ilctools import synthesise, trial_norm, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.response.door import response_of
-from ilctools.signals import dataset
 from ilctools.synthesis.cutoff import reached
-
-TS = 20.0  # s
-BATCHES = {270: 0.2, 360: 0.5, 450: 0.3}  # samples; hours in which the set point rises
-RESOLVED = 2 * np.pi / (450 * TS)  # rad/s, whose period is the longest batch
-
-
-def oven():
-    """A slow thermal plant of 50 minutes in a PI loop, from set point to temperature."""
-    s = control.tf("s")
-    plant = control.sample_system(control.ss(0.8 / ((3000 * s + 1) * (200 * s + 1))), TS)
-    controller = control.sample_system(control.ss(2 * (1 + 1 / (1500 * s))), TS, "tustin")
-    return control.ss(control.feedback(plant * controller, 1))
-
-
-def batches(P):
-    """A log of each batch: the set point ramps up and is held; the thermometer is noisy."""
-    rng = np.random.default_rng(3)
-    for samples, ramp in BATCHES.items():
-        hours = TS / 3600 * np.arange(samples)
-        r = np.interp(hours, [0.1, 0.1 + ramp], [0, 40])
-        y = control.forced_response(P, inputs=r).outputs + 0.04 * rng.standard_normal(samples)
-        r, y = r[None, :, None], y[None, :, None]
-        yield dataset(TS, ["T"], [], [], {"T": "K"}, reference=r, v=0 * r, y=y)
-
-
-@pytest.mark.filterwarnings("ignore:sigma_max.M. may reach .* below")  # no batch resolves it
-def test_frequencies_that_no_batch_resolves_decide_no_cutoff():
-    """The lowest has a period of ten hours, and its radius is nearly as large as P."""
-    P = oven()
-    measured = measured_response([*batches(P)])
-    assert measured.omega[0] < RESOLVED / 3.9
-    assert measured.radius(0.99, jointly=True)[0] > 0.8 * abs(measured.response[0, 0, 0])
-    design = synthesise(measured)
-    assert RESOLVED <= design.omega[0] < 1.05 * RESOLVED  # the next of 200 frequencies
-    # where P itself is a tenth of what it is at rest, by its formula
-    omega = np.geomspace(1e-4, 0.1, 10**5)
-    gain = abs(P(np.exp(1j * omega * TS)))
-    assert design.Q.cutoff == pytest.approx(omega[np.argmax(gain < 0.1)], rel=0.25)
-    assert design.check(P).gamma < 0.2
 
 
 def test_frequencies_with_a_large_radius_are_named_with_their_price():
