@@ -7,19 +7,12 @@ from functools import reduce
 
 import matplotlib.pyplot as plt
 import pytest
+from documented import DOORS, door
 
-import ilctools
 import rodlib
 from ilctools.synthesis.result import Synthesis
 
-OTHERS = {"MISMATCHED", "alternatives", "errors"}  # a rod, and rooms
-DOORS = sorted({*ilctools.__all__, *rodlib.__all__} - OTHERS)
 NOT_DOORS = {"Synthesis": Synthesis}  # which one gets from a door
-
-
-def door(name):
-    """By its name, which is in one of the two packages."""
-    return getattr(ilctools if name in ilctools.__all__ else rodlib, name)
 
 
 @pytest.mark.parametrize("name", DOORS)

@@ -6,14 +6,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from books import ROWS, code
+from documented import examples
 
 from rodlib.paper.comparison import same_picture
 from rodlib.paper.ledger import DIFFERS, IN_WORDS, KINDS, REPRODUCED, UNCHECKED
 from rodlib.paper.repository import ROOT
 
-README, GUIDE = ((ROOT / name).read_text("utf-8") for name in ("README.md", "docs/guide.md"))
-BLOCK = re.compile(r"^```python\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-(EXAMPLE,), (SNIPPET,) = BLOCK.findall(README), BLOCK.findall(GUIDE)
+README = (ROOT / "README.md").read_text("utf-8")
+(EXAMPLE,), (SNIPPET,) = examples("README.md"), examples("docs/guide.md")
 
 
 @pytest.mark.filterwarnings("error::UserWarning")

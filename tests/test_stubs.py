@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 import stubs
-from test_examples import DOORS, door
-from test_readme import BLOCK, ROOT
+from documented import DOORS, door, examples
 
 import ilctools
 import rodlib
@@ -59,10 +58,10 @@ def check(tmp_path_factory):
 
 def test_what_is_documented_is_typed(check):
     """The examples of the documents and of each door."""
-    paths = [ROOT / name for name in ("README.md", "docs/guide.md", "docs/questions.md")]
-    documents = [block for path in paths for block in BLOCK.findall(path.read_text("utf-8"))]
-    examples = [doctest.script_from_examples(inspect.getdoc(door(name))) for name in DOORS]
-    assert "All checks passed" in check("\n".join([TYPED, *documents, *examples]))
+    paths = ("README.md", "docs/guide.md", "docs/questions.md")
+    documents = [block for path in paths for block in examples(path)]
+    of_doors = [doctest.script_from_examples(inspect.getdoc(door(name))) for name in DOORS]
+    assert "All checks passed" in check("\n".join([TYPED, *documents, *of_doors]))
 
 
 @pytest.mark.parametrize("name", WRONG)

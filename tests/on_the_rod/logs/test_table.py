@@ -1,4 +1,4 @@
-"""Tables of others: what they say is read, and what is wrong is named by row and column."""
+"""The log of a real board, which another program wrote."""
 
 import numpy as np
 import pandas as pd
@@ -6,89 +6,19 @@ import pytest
 
 from ilctools import load_log, read_table, save_log
 from ilctools.errors import LogError
-from ilctools.signals import dataset
 from rodlib.paper import ROOT
 
 BOARD = ROOT / "data" / "tclab" / "board-1s.csv"
-OUTPUTS = {"T1": "Temperature 1", "T2": "Temperature 2 (degC)"}
-INPUTS = {"Q1": "Heater 1 (%)", "Q2": "Heater 2"}
-SAMPLES = np.arange(30)
-LEVEL = 30 - 0.25 * SAMPLES
-VALVE = 10.0 * (SAMPLES % 8 < 4)
-
-
-@pytest.mark.parametrize(
-    ("sep", "decimal", "encoding", "title", "unit", "above"),
-    [
-        (",", ".", "utf-8", "t[s]", 1, []),
-        (";", ",", "utf-16", "t(ms)", 1e-3, ["Logger 1: made by hand", ""]),
-        ("\t", ",", "latin-1", "t_ms", 1e-3, []),
-        (",", ".", "utf-8", "T_MS ", 1e-3, []),
-        (",", ".", "utf-8", "t_\u03bcs", 1e-6, []),
-        (" ", ".", "utf-8", "t[s]", 1, ["Logger"]),
-    ],
-)
-def test_a_table_is_read_however_it_is_laid_out(
-    tmp_path, sep, decimal, encoding, title, unit, above
-):
-    def text(value):
-        return f"{value:.6f}".replace(".", decimal)
-
-    signals = zip(LEVEL, 0.02 / unit * SAMPLES, VALVE, strict=True)
-    rows = [["level[°C]", title, "state", "valve[%]"]]
-    rows += [[text(y), text(t), "ok", text(u)] for y, t, u in signals]
-    content = "\r\n".join([*above, *map(sep.join, rows), ""])
-    (tmp_path / "table.txt").write_bytes(content.encode(encoding))
-    options = {"sep": sep, "decimal": decimal, "skiprows": len(above), "encoding": encoding}
-    for y, t, u in ((0, 1, 3), ("level", title, "valve")):
-        asked = {"time": t, "inputs": {"q": u}, "outputs": {"h": y}}
-        log = read_table(tmp_path / "table.txt", **asked, **options)
-        assert log.attrs["Ts"] == pytest.approx(0.02, rel=1e-9) and "clock" not in log.attrs
-        np.testing.assert_allclose(log.time, 0.02 * SAMPLES, rtol=1e-9)
-        np.testing.assert_array_equal(log.y[0, :, 0], LEVEL)
-        np.testing.assert_array_equal(log.u[0, :, 0], VALVE)
-        assert log.output_unit.item() == "°C"
-
-
-ROWS = [f"{0.5 * k},{y}" for k, y in enumerate(LEVEL)]
-
-
-def read(folder, lines, **more):
-    (folder / "table.csv").write_text("\n".join(lines))
-    return read_table(folder / "table.csv", **{"time": "t", "outputs": {"h": "level"}} | more)
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        (["t (K),level", *ROWS], "invalid unit abbreviation: K"),
-        (["t,level", "0,1", "1,1.234.5"], "level: entry '1.234.5' in row 1"),
-        (["t,level", "0,1", "1,"], "level: entry 'nan' in row 1"),
-        (["t,level", "0,1", "1,1,1"], "Expected 2 fields in line 3"),
-        (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 0"),
-        (["t;level", "0;1"], r"outputs\['h'\] = 'level' must be .* titles are \['t;level'\]"),
-        (
-            ["t,level", *ROWS[:5], *ROWS[6:]],
-            "row 5 is 1 s after the row before, where Ts = 0.518 s",
-        ),
-        (["t,level"], "Ts = nan must be"),
-        (["t,level", "1,1", "1,2"], "Ts = 0.0 must be"),
-        (["t,level", "2,1", "1,2", "0,2"], "Ts = -1.0 must be"),
-        ([], "No columns to parse"),
-    ],
-)
-def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message):
-    with pytest.raises(LogError, match=f"table.csv: .*{message}"):
-        read(tmp_path, lines)
-
-
-def board(**more):
-    columns = {"time": "Time", "outputs": OUTPUTS, "inputs": INPUTS}
-    return read_table(BOARD, **columns | more)
+COLUMNS = {
+    "time": "Time",
+    "outputs": {"T1": "Temperature 1", "T2": "Temperature 2 (degC)"},
+    "inputs": {"Q1": "Heater 1 (%)", "Q2": "Heater 2"},
+}
 
 
 def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
-    log, table = board(), pd.read_csv(BOARD, skipinitialspace=True).to_numpy()
+    log = read_table(BOARD, **COLUMNS)
+    table = pd.read_csv(BOARD, skipinitialspace=True).to_numpy()
     np.testing.assert_array_equal(log.u[0], table[:, 1:3])
     np.testing.assert_array_equal(log.y[0], table[:, 3:5])
     assert log.attrs["Ts"] == 1.0 and log.output_unit.values.tolist() == ["degC"] * 2
@@ -97,72 +27,3 @@ def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
     assert load_log(tmp_path / "log.csv").identical(log)
     with pytest.raises(LogError, match=r"format is None.*read_table"):
         load_log(BOARD)
-
-
-def test_trials_in_a_table_of_others_are_those_that_were_run():
-    """With a clock in minutes that jitters."""
-    rng, Ts = np.random.default_rng(0), 0.1
-    names = {"reference": "reference", "v": "v", "inputs": "u", "outputs": "y"}
-    signals = {name: rng.normal(size=(3, 80, 2)) for name in names.values()}
-    run = dataset(Ts, ["a", "b"], ["p", "q"], [], {}, **signals)
-    table = pd.DataFrame({"run": np.repeat([0, 1, 2], 80)})
-    table["clock [min]"] = Ts / 60 * (np.arange(240) + 0.03 * np.sin(np.arange(240)))
-    for name, signal in signals.items():
-        table[[f"{name} 0", f"{name} 1"]] = signal.reshape(240, 2)
-    asked = {word: {"a": f"{name} 0", "b": f"{name} 1"} for word, name in names.items()}
-    asked["inputs"] = {"p": "u 0", "q": "u 1"}
-    log = read_table(table, time="clock", trial="run", Ts=Ts, **asked)
-    assert log.drop_attrs().equals(run.drop_attrs())
-
-
-def test_a_data_frame_is_read_as_it_is():
-    """Here with a clock of its own in each trial; another clock may go on, be dates or miss."""
-    runs = [(k, 1.7e9 * k + t, 10.0 * k + t) for k in (0, 1, 4) for t in range(4)]
-    frame = pd.DataFrame(runs, columns=["run", "at", "x"])
-    columns = {"time": "at", "trial": "run", "outputs": {"x": "x"}}
-    log = read_table(frame, **columns)
-    assert log.trial.values.tolist() == [1, 2, 5] and log.attrs == {"Ts": 1.0}
-    np.testing.assert_array_equal(log.y[..., 0], frame.x.to_numpy().reshape(3, 4))
-    dated = frame.assign(at=pd.to_datetime(frame["at"], unit="s"))
-    assert read_table(dated, **columns).identical(log)
-    with pytest.raises(TypeError, match="sep"):
-        read_table(frame, **columns, sep=";")
-    without = read_table(frame, Ts=0.5, trial=0, outputs={"x": 2})
-    np.testing.assert_array_equal(without.time, [0, 0.5, 1, 1.5])
-    with pytest.raises(LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"):
-        read_table(frame.set_axis(["run", "x", "x"], axis=1), Ts=1.0, outputs={"x": "x"})
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
-        ({"time": 7}, "time = 7 must be .* from 0 to 6"),
-        ({"reference": {"T1": 5}}, "missing are .*'reference_T2'"),
-        ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be"),
-        ({"time": None, "Ts": None}, "Ts = None"),
-        ({"units": {"T3": "degC"}}, "units is about"),
-        ({"Ts": 1e-3}, r"Ts = 0.001 s \(598 of 598 steps differ\)"),
-    ],
-)
-def test_what_a_table_does_not_have_is_named(more, message):
-    with pytest.raises(ValueError, match=message):
-        board(**more)
-
-
-@pytest.mark.parametrize(
-    ("title", "unit"),
-    [("t_µs", 1e-6), ("t_ms [us]", 1e-6), ("Time us", 1e-6), ("ms", 1e-3), ("rooms", 1.0)],
-)
-def test_the_unit_of_a_clock_may_end_its_title(title, unit):
-    frame = pd.DataFrame({title: 10.0 * SAMPLES, "y": LEVEL})
-    log = read_table(frame, time=title, outputs={"y": "y"})
-    assert log.attrs["Ts"] == pytest.approx(10 * unit)
-    stated = read_table(frame, time=title, outputs={"y": "y"}, units={"y": "degC", "time": "min"})
-    assert stated.output_unit.item() == "degC" and stated.attrs["Ts"] == pytest.approx(600)
-
-
-def test_a_reference_in_another_unit_than_its_output_is_refused():
-    frame = pd.DataFrame({"x (mm)": LEVEL, "set (m)": LEVEL})
-    with pytest.raises(ValueError, match="is in m, x in mm: state units"):
-        read_table(frame, Ts=1.0, outputs={"x": "x"}, reference={"x": "set"})

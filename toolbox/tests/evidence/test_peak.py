@@ -1,4 +1,4 @@
-"""What a certificate says where P is not known: below the first sample of a table, and of a rig."""
+"""The peak over all frequencies, and what is said where P is not known: below the first sample."""
 
 import warnings
 
@@ -6,7 +6,9 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import RestartingModel, lags, sigma_of_M
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from plants import RestartingModel, lags, random_stable, sigma_of_M
 
 from ilctools import (
     ClosedLoop,
@@ -18,9 +20,10 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.evidence.peak import BELOW, CLOSE, peak_of_M
+from ilctools.evidence.peak import BELOW, CLOSE, peak_of_M, proven_peak
 from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units
+from ilctools.singular_values import largest_singular_values
 
 AXIS = control.ss(control.sample_system(control.tf([400], [1, 20, 400]), 0.01))
 Q = zero_phase_butterworth(2, 40.0, 0.01)
@@ -130,3 +133,60 @@ def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
             [P], [radius] = known.anywhere(0, np.zeros(1))
             assert np.linalg.norm(P - truth, 2) <= radius < 0.5
             assert not P.imag.any()
+
+
+def peak_gain(system, lowpass=None):
+    """Of a system by itself, or behind a filter."""
+
+    def sigma(omega):
+        gain = 1.0 if lowpass is None else lowpass.frequency_response(omega)
+        return gain * largest_singular_values(frequency_response(system, omega))
+
+    return proven_peak(
+        sigma, np.append(system.poles(), [] if lowpass is None else lowpass.poles), 1
+    )
+
+
+@given(
+    st.integers(1, 5),
+    st.integers(1, 3),
+    st.sampled_from([1e-1, 1e-4, 1e-8]),
+    st.none() | st.tuples(st.integers(1, 8), st.sampled_from([1e-3, 0.1, 3])),
+    st.integers(0, 999),
+)
+def test_a_peak_is_above_and_close_to_brute_force_in_whatever_units(n, m, distance, cut, seed):
+    """Of random systems with poles near the circle; matrices are inverted at each frequency."""
+    rng, system = np.random.default_rng(seed), random_stable(seed, n, m, distance, Ts=1.0)
+    rounding, lowpass = 1e-14 / distance, None
+    if cut:
+        try:
+            lowpass = zero_phase_butterworth(*cut, 1.0)
+        except ValueError:  # cut off so low that its poles are rounded
+            assume(False)
+        rounding += 1e-15 / cut[1] ** 2  # of |z - p|^2, p a pole of Q
+    A, B, C, D = control.ssdata(system)
+    units = 10.0 ** rng.uniform(-8, 8, n)
+    gain, place = peak_gain(
+        control.ss(A * units / units[:, None], B / units[:, None], C * units, D, 1.0), lowpass
+    )
+    near = np.append(place, np.abs(np.angle(system.poles())))[:, None]
+    about = (near + distance * np.linspace(-1, 1, 11) * 1e-3).ravel()
+    omega = np.concatenate([about, np.linspace(0, np.pi, 2001), [place]])
+    z = np.exp(1j * omega)[:, None, None]
+    sigma = np.linalg.norm(C @ np.linalg.solve(z * np.eye(n) - A, [B]) + D, 2, axis=(1, 2))
+    if lowpass:
+        sigma *= lowpass.frequency_response(omega)
+    assert sigma.max() <= gain * (1 + rounding)
+    assert gain <= sigma[-1] * (1 + CLOSE + rounding)
+
+
+@pytest.mark.parametrize("gain", [1e-170, 1e170])
+def test_gains_whose_squares_leave_the_doubles_are_found(gain):
+    for m in (1, 3):
+        system = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), 0, 1.0)
+        assert peak_gain(system)[0] == pytest.approx(2 * gain, rel=CLOSE, abs=0)
+
+
+def test_an_unstable_system_has_no_peak():
+    with pytest.raises(ValueError, match="unstable: it has a pole of modulus 1"):
+        peak_gain(control.ss(1.0, 1, 1, 0, 1.0))

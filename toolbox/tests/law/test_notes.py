@@ -10,6 +10,7 @@ import pytest
 from ilctools import (
     Law,
     LearningFilter,
+    NormOptimal,
     current_trial_loop,
     law_of,
     load_law,
@@ -30,10 +31,10 @@ PLANT = control.ss(
 LOOP = current_trial_loop(PLANT, ['the "valve"'], units=UNITS)
 
 
-def trials_of(loop):
+def trials_of(loop, rows=9):
     """A trial whose metadata name the loop."""
     law = Law(zero_phase_butterworth(2, 0.1, loop.Ts), None, loop=loop)
-    return with_law(run_trials(loop, law, np.ones((9, len(loop.outputs))), None, 1), law)
+    return with_law(run_trials(loop, law, np.ones((rows, len(loop.outputs))), None, 1), law)
 
 
 @pytest.mark.parametrize("name", ["the paper's", "one with odd names"])
@@ -126,3 +127,69 @@ def test_a_filter_that_looks_back_is_noted_in_the_newer_formats(first, log, law,
     path.unlink()
     save_log(with_law(trials_of(LOOP), ours), path)
     assert path.read_text().startswith(f"# format: {log}\n")
+
+
+Q2 = zero_phase_butterworth(3, 1 / 3, 1.0, ends="hold")
+L = LearningFilter(1e9 * np.random.default_rng(0).standard_normal((2, 2, 3)), 1.0, "hold")
+
+
+@pytest.mark.parametrize("by", ["log", "file"])
+def test_a_law_is_kept_to_the_last_digit(by, loop, tmp_path):
+    limits = {"Q1": (-1.0, 1 / 3)}
+    law = Law(Q2, L, rest=7, gain=1 / 3, limits=limits, loop=loop)
+    if by == "log":
+        save_log(with_law(trials_of(loop, rows=30), law), tmp_path / "log.csv")
+        kept = law_of(load_log(tmp_path / "log.csv"))
+        assert kept.bound_to(loop) is kept
+    else:
+        save_law(tmp_path / "law.json", law, note='ε\n"')
+        noted = json.loads((tmp_path / "law.json").read_text(encoding="utf-8"))
+        kept = load_law(tmp_path / "law.json")
+        assert noted["note"] == 'ε\n"'
+    assert (kept.Q, kept.rest, kept.gain, kept.limits) == (Q2, 7, 1 / 3, limits)
+    np.testing.assert_array_equal(kept.L.coefficients, L.coefficients)
+    assert (kept.L.Ts, kept.L.ends) == (1.0, "hold")
+
+
+def test_what_is_usual_is_not_noted(loop, Q):
+    trials = run_trials(loop, Law(Q, None), np.zeros((30, 2)), trials=2)
+    plain = with_law(trials, Law(Q, None))
+    assert plain.attrs.keys() == {"Ts", "Q", "L"}  # defaults are not written
+    assert law_of(plain).L is None and law_of(plain).loop is None
+    assert law_of(trials) is None
+    operator = NormOptimal(loop.P, 1.0, 30)  # has no coefficients to write
+    assert law_of(with_law(trials, Law(Q, operator))) is None
+
+
+@pytest.mark.parametrize(
+    "note",
+    [{"L": '{"coefficients": 3}'}, {"L": "[" * 9999}, {"Q": "{}"},
+     {"rest": "soon"}, {"step": "NaN"}, {"actuators": '{"Q9": [0, 1]}'}],
+)  # fmt: skip
+def test_a_note_that_is_not_a_law_is_refused(loop, Q, note):
+    with pytest.raises(LogError, match="law cannot be understood"):
+        law_of(with_law(trials_of(loop), Law(Q, L, loop=loop)).assign_attrs(note))
+    wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))  # of another plant
+    with pytest.raises(LogError, match="channels"):
+        law_of(with_law(trials_of(loop), wide))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [b"[]", b"{}", b"Chapter 1", b'{"Ts": 1, "Ts": 2}', b"[" * 9999, b"\xff\xfe\x00" * 9999],
+)
+def test_only_a_law_is_read_and_replaced_by_a_law(tmp_path, Q, other):
+    path = tmp_path / "law.json"
+    path.write_bytes(other)
+    with pytest.raises(ValueError, match=r"law.json' is not a law of save_law") as error:
+        load_law(path)
+    assert len(str(error.value)) < 1000
+    with pytest.raises(ValueError, match=r"law.json' is a file of another kind"):
+        save_law(path, Law(Q, L))
+    assert path.read_bytes() == other
+    path.unlink()
+    with pytest.raises(ValueError, match="L = None"):
+        save_law(path, Law(Q, None))
+    for gain in (1.0, 0.5):
+        save_law(path, Law(Q, L, gain=gain))
+    assert load_law(path).gain == 0.5

@@ -2,6 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ilctools import read_table
 from ilctools.errors import LogError
 from ilctools.logs.clock import check_trials, mean_step, seconds
 
@@ -58,3 +59,25 @@ def test_a_unit_of_time_is_known_in_seconds():
     for unit in ("K", "1/s", ""):
         with pytest.raises(ValueError, match="unit"):
             seconds(unit)
+
+
+@pytest.mark.parametrize(
+    ("unit", "second", "begin"),
+    [("ms", 1e-3, 1.0e9), ("us", 1e-6, 1.7e9), ("ns", 1e-9, 4.0e9)],  # 2001, 2023, 2096
+)
+def test_a_clock_since_1970_in_a_finer_unit_is_not_one_in_s(unit, second, begin):
+    """Seconds since 1970 are; and with its unit it is what the steps say."""
+    t = begin + 0.25 * np.arange(40)  # multiples of a quarter, which doubles hold exactly
+    asked = {"time": "t", "outputs": {"T": "T"}}
+
+    def table(clock):
+        return pd.DataFrame({"t": clock, "T": np.arange(40.0)})
+
+    finer = table(np.round(t / second).astype("int64"))
+    for more in ({}, {"Ts": 0.25}, {"units": {"time": "s"}}):
+        with pytest.raises(LogError, match=rf"count {unit} since 1970: .*'time': '{unit}'"):
+            read_table(finer, **asked, **more)
+    assert read_table(finer, **asked, units={"time": unit}).attrs["Ts"] == 0.25
+    assert read_table(table(t), **asked).attrs["Ts"] == 0.25
+    with pytest.raises(LogError, match="state its unit"):  # of 100 ns since 1601
+        read_table(table((t + 11644473600) * 1e7), **asked)

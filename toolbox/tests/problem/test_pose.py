@@ -41,23 +41,19 @@ def test_several_plants_may_be_known_in_several_ways():
     np.testing.assert_array_equal(problem.radius, np.full(60, 0.1))
 
 
-@pytest.mark.parametrize(
-    ("structure", "as_model", "pascal"), [("full", True, 2.0**17), ("diagonal", False, 1e5)]
-)
-def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_model, pascal):
-    """In kelvin and bar, or in kelvin and pascal: the same optimum, and the same certificate.
-
-    Filters next to it differ by more than their values do.
-    """
-    kind = {"structure": structure, "L_max": 3.0, "band": BAND, "order": 6}
+@pytest.mark.parametrize(("structure", "as_model"), [("full", True), ("diagonal", False)])
+def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_model):
+    """In kelvin and bar, or in kelvin and pascal: the same optimum, and the same certificate."""
     designs, weights = [], []
-    for unit in (np.ones(2), np.array([1.0, pascal])):
+    for unit in (np.ones(2), np.array([1.0, 1e5])):
         model = control.ss(COUPLED.A, COUPLED.B / unit, np.diag(unit) @ COUPLED.C, 0, 1.0)
         P = model if as_model else frequency_response(model, OMEGA)
+        kind = {"structure": structure, "L_max": 3.0, "band": BAND, "order": 6}
         designs.append(synthesise(P, Q, OMEGA, 1.0, scale=2.0 * unit, **kind))
         reference = unit * bump(60, [1.0, 3.0])
-        task = posed(model, Q, OMEGA, 1.0, scale=unit, reference=reference).objective
-        weights.append(task.weights)
+        weights.append(
+            posed(model, Q, OMEGA, 1.0, scale=unit, reference=reference).objective.weights
+        )
     one, other = designs
     for name in ("value", "lower_bound", "all_M", "all_L"):
         a, b = (getattr(design.certificate, name) for design in designs)

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from paper import paper_choices
 from plants import bump, furnace, lags, sigma_of_M
+from scipy.interpolate import CubicSpline
+from scipy.linalg import block_diag
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.errors import SolverError
+from ilctools.evidence.robustness import NEAR
+from ilctools.models import frequency_response
 from ilctools.synthesis import everywhere
 
 PROVEN = 1 + 1e-9  # what the bounds may be passed by: rounding
@@ -104,3 +108,65 @@ def test_a_reference_goes_with_everywhere():
     assert design.certificate.all_M <= 0.9 * (1 + 1e-6) and len(grid.omega) > 100
     assert {*grid.omega[grid.objective.weights > 0]} <= {*omega}
     assert design.value >= plain.value * (1 - 1e-9)
+
+
+def plant(rng, m):
+    """Lags and a resonance, coupled, with unit gain or so."""
+    poles, r, angle = rng.uniform(0.2, 0.9, m), rng.uniform(0.8, 0.98), rng.uniform(0.5, 2.5)
+    turned = r * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    B = np.vstack([np.diag(1 - poles), 0.3 * (1 - r) * rng.standard_normal((2, m))])
+    C = np.hstack([np.eye(m) + rng.uniform(-0.2, 0.2, (m, m)), rng.standard_normal((m, 2))])
+    return control.ss(block_diag(np.diag(poles), turned), B, C, 0, 1.0)
+
+
+def drawn(seed):
+    """Plants, as models or samples, and as models; what is asked of a design."""
+    rng = np.random.default_rng(seed)
+    m, n = 1 + seed % 2, int(rng.integers(25, 60))
+    omega = rng.choice([np.geomspace(1e-3, np.pi, n), np.linspace(0.01, 2.2, n)])
+    first = plant(rng, m)
+    off = [np.eye(m), *(np.eye(m) + 0.1 * rng.uniform(-1, 1, (seed % 3, m, m)))]
+    truth = [control.ss(first.A, first.B, F @ first.C, 0, 1.0) for F in off]
+    plants = [P if rng.random() < 0.5 else frequency_response(P, omega) for P in truth]
+    Q = zero_phase_butterworth(2, rng.uniform(0.1, 0.6), 1.0)
+    asked = {"M_max": 0.1, "objective": rng.choice(["sum", "peak"])}
+    asked |= {"base": 0.1} if rng.random() < 0.4 else {"order": int(rng.integers(3, 12))}
+    if m == 1:  # or the worst of all plants within the radius has no formula
+        asked["uncertainty"] = rng.uniform(0, 0.1) * (1 + rng.random(n))
+    return plants, truth, Q, omega, {"everywhere": True} | asked
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", range(6))
+def test_no_plant_within_radius_and_list_exceeds_a_certificate_anywhere(seed):
+    """Models by their response, samples and radius by the interpolation that is stated."""
+    plants, truth, Q, omega, asked = drawn(seed)
+    try:
+        design = synthesise(plants, Q, omega, 1.0, **asked)
+    except InfeasibleError as error:
+        asked["M_max"] = min(1.02 * error.smallest_M_max, 0.99)
+        design = synthesise(plants, Q, omega, 1.0, **asked)
+    axis, (first, last) = design.problem.response.samples[0].axis, omega[[0, -1]]
+    at = np.concatenate([np.linspace(0, np.pi, 2500), np.geomspace(first, last, 2500)])
+    at = np.sort(at.clip(max=np.pi))
+    inside = (at >= first) & (at <= last)
+    largest, known, rho = design.certificate, at[inside], np.zeros(len(at))
+    # crests of samples that are lower are only bounded, see evidence/peak
+    most = np.full(len(at), max(largest.all_M, NEAR * asked["M_max"]))
+    if "uncertainty" in asked:
+        rho[inside] = np.interp(axis(known), axis(omega), asked["uncertainty"])
+        most[at < first] = max(
+            design.rate, most[0]
+        )  # which counts what is assumed below the radius, too
+    L = np.linalg.norm(design.filter.frequency_response(at), 2, axis=(1, 2))
+    more = Q.frequency_response(at) * rho * L
+    for given, model in zip(plants, truth, strict=True):
+        M = sigma_of_M(at, model, Q, design.filter) + more
+        if isinstance(given, np.ndarray):
+            P = CubicSpline(axis(omega), given)(axis(known))
+            M[inside] = sigma_of_M(known, P, Q, design.filter) + more[inside]
+            M[~inside] = 0
+        assert np.all(most * (1 + 1e-6) >= M)
+    assert L.max() <= largest.all_L * (1 + 1e-6)
+    assert largest.all_M <= asked["M_max"] * (1 + 1e-6)
+    assert largest.all_L <= design.problem.L_max * (1 + 1e-6)

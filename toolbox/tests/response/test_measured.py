@@ -9,7 +9,6 @@ from problems import posed
 
 from ilctools import InfeasibleError, measured_response, synthesise, zero_phase_butterworth
 from ilctools.problem.problem import convergence_matrix
-from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99
 
@@ -30,9 +29,8 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius():
     choices = paper_choices(band=(omega[0], 0.02 / loop.Ts), scale=scale, order=4)
     measured = table(P + error, 0.004, omega, loop.Ts)
     design = synthesise(measured, Q, omega, **choices)
-    L = design.filter.frequency_response(omega)
-    M = convergence_matrix(P, Q.frequency_response(omega), L) * S / S[:, None]
-    assert largest_singular_values(M).max() <= 0.9 * (1 + 1e-9)
+    M = convergence_matrix(P, Q.frequency_response(omega), design.filter.frequency_response(omega))
+    assert np.linalg.norm(M * S / S[:, None], 2, axis=(1, 2)).max() <= 0.9 * (1 + 1e-9)
     radius = measured.on(omega, CONFIDENCE, scale)[1]
     np.testing.assert_array_equal(design.problem.radius, radius)  # in units of scale
     choices["uncertainty"] = radius
@@ -51,17 +49,12 @@ def test_where_nothing_can_be_learned_is_named(loop, Q):
     assert f"nothing can be learned at {len(lost)} frequencies from {lost[0]:.4g}" in str(design)
     many = posed([P, 0.5 * P], Q, omega, 1.0, uncertainty=np.full(50, 0.01))
     np.testing.assert_array_equal(many.unusable, 0.5 * smallest <= 0.01)
+    with pytest.raises(ValueError, match="uncertainty must be None"):
+        synthesise(table(P, 0.01, omega), Q, omega, uncertainty=np.full(50, 0.1))
+    with pytest.raises(ValueError, match=r"P.0. is a measured response, whose radius"):
+        synthesise([table(P, 0.01, omega), loop], Q, omega)
     with pytest.raises(InfeasibleError, match="nothing can be learned at") as caught:
         synthesise(table(P, 0.5, omega), Q, omega, **choices)
     # a singular plant is within the radius: no filter makes M smaller than Q for it
     largest = np.abs(Q.frequency_response(omega))[smallest <= 0.5].max()
     assert caught.value.smallest_M_max >= largest - 1e-9
-
-
-def test_what_contradicts_a_measurement_is_refused(loop, Q):
-    omega = np.geomspace(1e-4, np.pi, 100)
-    measured = table(loop.frequency_response(omega), 0.01, omega)
-    with pytest.raises(ValueError, match="uncertainty must be None"):
-        synthesise(measured, Q, omega, uncertainty=np.full(100, 0.1))
-    with pytest.raises(ValueError, match=r"P.0. is a measured response, whose radius"):
-        synthesise([measured, loop], Q, omega)

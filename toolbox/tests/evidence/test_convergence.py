@@ -2,20 +2,12 @@
 
 import numpy as np
 import pytest
-from rods import PRINTED
 from scipy.integrate import quad
 
 from ilctools import LearningFilter, convergence
 
-
-def matrices(P, q, L):
-    """M by the book."""
-    return q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)
-
-
-def test_an_operator_on_other_channels_is_refused(loop, Q, omega):
-    with pytest.raises(ValueError, match="L acts on 1 channels"):
-        convergence(loop, Q, LearningFilter([[[0.3]]], loop.Ts), omega)
+# A filter with which the sigma of the paper's loop has a kink in the band
+L_KINKED = LearningFilter(np.array([[[0.5], [0.1]], [[-0.1], [1.4]]]), 1.0)
 
 
 def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q):
@@ -23,14 +15,14 @@ def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q):
     band = (1e-4, 0.02)
 
     def sigma(place):
-        return convergence(loop, Q, PRINTED, [np.exp(place), 1.0]).sigma[0]
+        return convergence(loop, Q, L_KINKED, [np.exp(place), 1.0]).sigma[0]
 
     area, _ = quad(sigma, *np.log(band), epsabs=1e-6, limit=200)
     exact = area / np.log(band[1] / band[0])
     for grid in (np.geomspace(1e-4, np.pi, 100), np.linspace(0, np.pi, 20001)):
-        mean = convergence(loop, Q, PRINTED, grid).mean(band)
+        mean = convergence(loop, Q, L_KINKED, grid).mean(band)
         assert mean == pytest.approx(exact, abs=1e-3)
-    fine = convergence(loop, Q, PRINTED, np.geomspace(*band, 2001))
+    fine = convergence(loop, Q, L_KINKED, np.geomspace(*band, 2001))
     assert fine.mean() == pytest.approx(exact, abs=1e-6)
     for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:
         with pytest.raises(ValueError, match="band = "):
@@ -43,10 +35,10 @@ def test_rate_and_spectral_radius_are_those_of_numpy(m):
     omega, P = np.linspace(0.1, 3, 30), rng.standard_normal((4, 30, m, m, 2)) @ [1, 1j]
     L = LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
     q = rng.uniform(size=30)
-    M = matrices(P, q, L.frequency_response(omega))
-    expected = np.abs(np.linalg.eigvals(M)).max(axis=(1, 2))
+    M = q[:, None, None] * (np.eye(m) - P @ L.frequency_response(omega))  # by the book
     result = convergence(P, q, L, omega)
-    np.testing.assert_allclose(result.spectral_radius, expected, rtol=1e-9)
+    radius = np.abs(np.linalg.eigvals(M)).max(axis=(1, 2))
+    np.testing.assert_allclose(result.spectral_radius, radius, rtol=1e-9)
     sigma = np.linalg.norm(M, 2, axis=(2, 3))
     np.testing.assert_allclose(result.sigma, sigma, rtol=1e-9)
     np.testing.assert_allclose(result.gamma, sigma.max(axis=1), rtol=1e-9)
