@@ -12,7 +12,7 @@ import ilctools
 import rodlib
 from ilctools.synthesis.result import Synthesis
 
-OTHERS = {"MISMATCHED", "alternatives", "errors"}  # a rod, and rooms
+OTHERS = {"MISMATCHED", "errors"}  # a rod, and a room
 DOORS = sorted({*ilctools.__all__, *rodlib.__all__} - OTHERS)
 NOT_DOORS = {"Synthesis": Synthesis}  # which one gets from a door
 

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.base import RegularisedInverse, isometry
+from ilctools.base import RegularisedInverse
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import keep_others, regular, write_whole
 from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
@@ -100,12 +100,14 @@ def _filter_note(L):
 
 
 def _base_note(B):
-    """A base, with E where it does not follow from the shape of P."""
+    """A base, with E where it is not that of models which stand one below the other."""
     note = {"b": B.b, "scale": B.scale, "P": B.P}
-    copies, rest = divmod(B.P.noutputs, B.channels)
-    if not rest and np.array_equal(B.E, isometry(copies, B.channels)):
-        return note
-    return note | {"E": B.E}
+    return note if np.array_equal(B.E, _stacked(B.P)) else note | {"E": B.E}
+
+
+def _stacked(P):
+    """E of models one below the other, each with as many outputs as inputs: of notes without E."""
+    return isometry(P.noutputs // P.ninputs, P.ninputs)
 
 
 def _law_from(Ts, Q, L, rest, step, actuators):
@@ -116,7 +118,10 @@ def _law_from(Ts, Q, L, rest, step, actuators):
 
 def _filter_from(Ts, base=None, **taps):
     K = LearningFilter(Ts=Ts, **taps)
-    return K if base is None else RegularisedInverse(**base | {"P": model_from(base["P"])}) @ K
+    if base is None:
+        return K
+    P = model_from(base["P"])
+    return RegularisedInverse(**{"E": _stacked(P)} | base | {"P": P}) @ K
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
