@@ -62,8 +62,8 @@ def pooled(models, b, change) -> Pooled:
     if count == 1:
         return Pooled(models[0], np.eye(m))
     poles = np.concatenate([model.poles() for model in models])
-    turns = np.append(np.geomspace(1e-4, 1, FREQUENCIES) * np.pi, np.abs(np.angle(poles)))
-    omega = np.append(0, turns) / models[0].dt
+    grid = np.linspace(0, np.pi, FREQUENCIES)
+    omega = np.append(grid, np.abs(np.angle(poles))) / models[0].dt
     P = np.array([frequency_response(model, omega) for model in models])
     size = np.linalg.norm(P, 2, axis=(2, 3)).max()
     error = change * b**2 / (1.25 * size)

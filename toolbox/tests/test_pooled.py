@@ -11,7 +11,7 @@ from plants import as_matrix, lags, lifted
 from ilctools import frequency_response, load_law, save_law, synthesise, zero_phase_butterworth
 from ilctools.base import base_of_models
 from ilctools.evidence.finite import settled_norm, trial_norm
-from ilctools.evidence.worst_trial import largest_trial_norm, matrix_on_trial
+from ilctools.evidence.worst_trial import largest_trial_norm
 from ilctools.filters import LearningFilter
 from ilctools.pooled import CHANGES, pooled
 
@@ -59,7 +59,6 @@ def test_B_is_the_quadratic_law_of_all_plants_on_the_circle_and_on_a_trial(plant
     normal = np.mean([P.T @ P for P in P_N], axis=0) + b**2 * np.eye(N * m)
     dense = np.linalg.solve(normal, np.mean(P_N, axis=0).T)
     assert_allclose(P_N[0] @ as_matrix(base.apply, N, m), P_N[0] @ dense, rtol=0, atol=1e-8)
-    assert_allclose(base.matrix(N), as_matrix(base.apply, N, m), rtol=0, atol=1e-10)
 
 
 def test_copies_of_a_plant_have_its_states_and_no_more_outputs_than_states_and_inputs():

@@ -20,6 +20,7 @@ from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButte
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
+from ilctools.pooled import isometry
 from ilctools.signals import Signals, check_match
 
 FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
