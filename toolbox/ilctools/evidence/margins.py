@@ -46,7 +46,7 @@ TURN = np.linspace(0, 2 * np.pi, 33)  # of the phase at the cut-off, by a delay
 STEP = np.pi / 20  # of the phase of poles, from one frequency to the next
 MOST = 8000  # frequencies for the poles of L: of a finite filter of thousands of samples fewer
 PARTS = 4  # frequencies for each sample of a table, whose splines miss most halfway
-LEVEL = 0.98  # from 0.99 of which on a worst case is exact
+LEVEL = 0.98  # from 0.99 of which on a worst case is exact, and crests have their parabolas
 ONE = 1 + 1e-9  # what rounding makes of one
 TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)
 CLOSE = 1e-4  # relative, of a limit: it is printed with two digits
@@ -183,6 +183,7 @@ def highest(omega, sigma, jumps) -> float:
     slopes, side = np.diff(sigma) / steps, np.searchsorted(jumps, omega)
     before, after = slopes[:-1], slopes[1:]
     slope = (before * steps[1:] + after * steps[:-1]) / wide
-    crest = (before > 0) & (after <= 0) & (side[2:] == side[:-2])
+    here = sigma[1:-1]
+    crest = (here > LEVEL) & (before > 0) & (after <= 0) & (side[2:] == side[:-2])
     more = slope[crest] ** 2 * wide[crest] / (4 * (before - after)[crest])
-    return float(max(sigma.max(), (sigma[1:-1][crest] + more).max(initial=0)))
+    return float(max(sigma.max(), (here[crest] + more).max(initial=0)))

@@ -14,6 +14,7 @@ from ilctools.models import impulse_response
 
 TOGETHER = 32  # plants of which the iteration runs at the same time: 64 take as long for each
 BETWEEN = 8  # steps from one look at the Ritz values to the next: each takes as long as a step
+TINY = np.finfo(float).tiny  # length of what is left of a plant whose iteration has ended
 TOLERANCE = 1e-8  # relative residual of an eigenvector, as of one plant alone
 
 
@@ -60,10 +61,10 @@ def _largest(maps) -> float:
         w -= basis.swapaxes(1, 2) @ products
         w -= basis.swapaxes(1, 2) @ (basis @ w)  # what rounding has left of them
         length = np.linalg.norm(w, axis=1)
-        if step % BETWEEN == 0 or step == size or not length.all():
+        if step % BETWEEN == 0 or step == size:
             values, vectors = np.linalg.eigh(projected, UPLO="U")
             residual = length[:, 0] * np.abs(vectors[:, -1, -1])
             if step == size or np.all(residual <= TOLERANCE * values[:, -1]):
                 break
-        basis = np.append(basis, (w.swapaxes(1, 2) / length[..., None]), axis=1)
+        basis = np.append(basis, (w.swapaxes(1, 2) / np.maximum(length, TINY)[..., None]), axis=1)
     return float(np.sqrt(values[:, -1].max()))
