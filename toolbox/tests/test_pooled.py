@@ -2,11 +2,10 @@
 
 import time
 
-import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from plants import as_matrix, copies, coupled, lifted, others
+from plants import altered, as_matrix, copies, coupled, lifted, others, random_stable
 
 from ilctools import frequency_response, load_law, save_law, synthesise, zero_phase_butterworth
 from ilctools.base import base_of_models
@@ -38,10 +37,13 @@ def test_copies_of_a_plant_have_its_states_and_no_more_outputs_than_states_and_i
     assert P.nstates == plants[0].nstates and P.noutputs == P.nstates + 1 == len(E)
 
 
-def test_where_rounding_hides_what_plants_have_in_common_all_states_are_kept():
-    """Of integrators that leak by 1e-15 a sample, whose Gramians double for ever."""
-    plants = [control.ss(1 - 1e-15, 1.0, k, 0, 1.0) for k in (1.0, 1.1)]
-    assert pooled(plants, 0.05, CHANGES[0]).P.nstates == 2
+def test_where_rounding_is_more_than_the_error_all_states_are_kept():
+    """Of poles within 3e-6 of the circle, where few states would change M by 1e-7."""
+    like = random_stable(54, distance=3e-6)
+    plants = [altered(like, A=1 - 1e-6 * k) for k in range(5)]
+    at_peak = frequency_response(like, np.abs(np.angle(like.poles())) / like.dt)
+    b = 0.03 * np.linalg.norm(at_peak, 2, axis=(1, 2)).max()
+    assert pooled(plants, b, CHANGES[0]).P.nstates == sum(P.nstates for P in plants)
 
 
 @pytest.mark.parametrize("plants", [copies(40), others(40)])

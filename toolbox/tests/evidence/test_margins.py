@@ -32,7 +32,7 @@ def coupled(of_zero):
 
 PLANTS = {  # with a radius, and whether P is a table
     "a model": (resonant(15, 22), None, False),
-    "a mode below its antiresonance": (resonant(60, 25), None, False),
+    "a mode below its antiresonance": (resonant(60, 25, of_mode=0.001), None, False),
     "with a radius": (resonant(30, 50), 0.15, False),
     "two channels": (coupled(0.005), None, False),
     "two channels, with a radius": (coupled(0.1), 0.02, False),
