@@ -32,6 +32,7 @@ def coupled(of_zero):
 
 PLANTS = {  # with a radius, and whether P is a table
     "a model": (resonant(15, 22), None, False),
+    "a mode above the cut-off": (resonant(150, 90, of_mode=0.001), None, False),
     "a mode below its antiresonance": (resonant(60, 25, of_mode=0.001), None, False),
     "with a radius": (resonant(30, 50), 0.15, False),
     "two channels": (coupled(0.005), None, False),
@@ -65,18 +66,18 @@ def peak_of(design, model):
     response, sampled = design.problem.response, design.problem.response.sampled
     around = 1 + np.append(0, np.outer([-1, 1], np.geomspace(1e-5, 0.05, 40)))
     angles = np.abs(np.angle(np.append(model.poles(), design.filter.poles)))
-    crests = np.outer(angles[angles > 1e-4] / TS, around)
-    omega = np.unique([*np.linspace(0, np.pi / TS, 3000), *crests.ravel()])
+    crests = np.outer(angles[angles > 1e-4] / TS, around).ravel()
     first, last = design.omega[[0, -1]] if sampled else (0, np.pi / TS)
-    omega = omega[(omega >= first) & (omega <= last)]
-    Q, L = design.Q.frequency_response(omega), design.filter.frequency_response(omega)
 
     def peak(gain=1.0, delay=0.0, slower=1.0, radius=0.0):
-        known = slower * omega <= (last if sampled else np.inf)
-        P, own = response.anywhere(0, np.clip(slower * omega[known], first, last))
-        P = gain * np.exp(-1j * omega[known] * delay * TS)[:, None, None] * P
-        M = Q[known, None, None] * (np.eye(P.shape[1]) - P @ L[known])
-        return worst(M, Q[known] * (gain * own + radius), L[known])
+        omega = np.unique([*np.linspace(0, np.pi / TS, 3000), *crests, *crests / slower])
+        end = min(last, last / slower) if sampled else last
+        omega = omega[(omega >= first) & (omega <= end)]
+        Q, L = design.Q.frequency_response(omega), design.filter.frequency_response(omega)
+        P, own = response.anywhere(0, np.clip(slower * omega, first, last))
+        P = gain * np.exp(-1j * omega * delay * TS)[:, None, None] * P
+        M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)
+        return worst(M, Q * (gain * own + radius), L)
 
     return peak
 
