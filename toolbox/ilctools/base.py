@@ -67,9 +67,14 @@ class RegularisedInverse:
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
         arguments.stable("P", P.poles())
+        if self.E is None and P.noutputs != P.ninputs:
+            raise ValueError(
+                f"P has {P.noutputs} outputs and {P.ninputs} inputs, but must have as many outputs "
+                "as inputs: pass E, if it is several models one below the other"
+            )
         scale = arguments.array("scale", self.scale, (P.ninputs,))
         E = np.eye(P.ninputs) if self.E is None else self.E
-        E = arguments.array("E, one row for each output of P,", E, (P.noutputs, P.ninputs))
+        E = arguments.array("E", E, (P.noutputs, P.ninputs))
         vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale, E=E)
 
     @property

@@ -107,8 +107,9 @@ def _base_note(B):
 
 
 def _stacked(P):
-    """E of models one below the other, each with as many outputs as inputs: of notes without E."""
-    return isometry(P.noutputs // P.ninputs, P.ninputs)
+    """E of square models one below the other, as in notes without E; None if P is none of them."""
+    copies, rest = divmod(P.noutputs, P.ninputs)
+    return None if rest else isometry(copies, P.ninputs)
 
 
 def _law_from(Ts, Q, L, rest, step, actuators):
