@@ -6,7 +6,7 @@ import ilctools
 import rodlib
 from rodlib.paper.repository import ROOT
 
-OTHERS = {"MISMATCHED", "alternatives", "errors"}  # a rod, and rooms
+OTHERS = {"MISMATCHED", "errors"}  # a rod, and a room
 DOORS = sorted({*ilctools.__all__, *rodlib.__all__} - OTHERS)
 BLOCK = re.compile(r"^```python\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 

@@ -19,7 +19,7 @@ MODULES = {
     "evidence.convergence": "convergence",
     "evidence.finite": "trial_map trial_norm trial_operators",
     "evidence.robustness": "worst_case",
-    "alternatives": "NormOptimal",
+    "norm_optimal": "NormOptimal",
     "trials.rms": "rms",
     "trials.run": "run_trials",
     "trials.transfer": "transfer",

@@ -1,7 +1,6 @@
 # From the registry in __init__.py, by `make stubs`.
 
 from ilctools import errors as errors
-from ilctools.alternatives import NormOptimal as NormOptimal
 from ilctools.errors import InfeasibleError as InfeasibleError
 from ilctools.evidence.convergence import convergence as convergence
 from ilctools.evidence.finite import trial_map as trial_map
@@ -25,6 +24,7 @@ from ilctools.measurement.measurement import measured_response as measured_respo
 from ilctools.models import frequency_response as frequency_response
 from ilctools.models import minimal_realisation as minimal_realisation
 from ilctools.models import state_sequence as state_sequence
+from ilctools.norm_optimal import NormOptimal as NormOptimal
 from ilctools.rigs.controller import Controller as Controller
 from ilctools.rigs.experiments import record as record
 from ilctools.rigs.experiments import shake as shake

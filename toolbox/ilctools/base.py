@@ -2,7 +2,7 @@
 
     B = (P* P + b^2)^-1 P*                                                                     (B)
 
-is the operator of norm-optimal learning, see :class:`.alternatives.NormOptimal`. It undoes poles
+is the operator of norm-optimal learning, see :class:`.norm_optimal.NormOptimal`. It undoes poles
 and zeros of P next to the unit circle, for which a finite filter would have to be as long as they
 ring. In each direction in which P has the singular value sigma,
 
@@ -35,28 +35,19 @@ from functools import cached_property, lru_cache
 
 import control
 import numpy as np
-from scipy.fft import rfft
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.fft import irfft, rfft
+from scipy.linalg import block_diag
 
 from ilctools import arguments
-from ilctools.alternatives import NormOptimal, coefficients_of, regularised_inverse
 from ilctools.filters import Composition, LearningFilter
-from ilctools.models import (
-    balanced,
-    frequency_response,
-    impulse_response,
-    minimal_realisation,
-    sampled_plant,
-)
+from ilctools.models import balanced, frequency_response, minimal_realisation, sampled_plant
+from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
 NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
 POINTS = 2**15  # of the transform that gives the coefficients of B
 FARTHEST = POINTS // 4  # samples that B reaches at most, each way
-# of sigma_max(P) / b, up to which B on a trial is found from P_N^T P_N + b^2 I, whose condition is
-# the square of it: B then keeps eight digits
-MOST_UNEQUAL = 1e4
 EXACT = 1e-7  # relative error of the factors that is rounding
 
 
@@ -65,24 +56,24 @@ class RegularisedInverse:
     """B = (P* P + b^2)^-1 P* E of models, with the ends of a trial.
 
     On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T E, of the channels divided by `scale`: P is in
-    these units, B is not. P has m inputs and p outputs. Without E it has m outputs for each model.
+    these units, B is not. P has m inputs and p outputs. Without E it is one model with p = m.
     """
 
     P: control.StateSpace
     b: float
     scale: np.ndarray
-    E: np.ndarray | None = None  # (p, m); identities one below the other, one for each model
+    E: np.ndarray | None = None  # (p, m), see :func:`.pooled.pooled`; the identity of one model
 
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
         arguments.stable("P", P.poles())
-        if self.E is None and P.noutputs % P.ninputs:
+        if self.E is None and P.noutputs != P.ninputs:
             raise ValueError(
                 f"P has {P.noutputs} outputs and {P.ninputs} inputs, but must have as many outputs "
-                "as inputs for each model"
+                "as inputs: pass E, if it is several models one below the other"
             )
         scale = arguments.array("scale", self.scale, (P.ninputs,))
-        E = isometry(P.noutputs // P.ninputs, P.ninputs) if self.E is None else self.E
+        E = np.eye(P.ninputs) if self.E is None else self.E
         E = arguments.array("E", E, (P.noutputs, P.ninputs))
         vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale, E=E)
 
@@ -131,43 +122,11 @@ class RegularisedInverse:
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
         return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale / self.b
 
-    def matrix(self, samples: int) -> np.ndarray:
-        """The matrix that :meth:`apply` is on raveled trials, (samples m, samples m)."""
-        m = self.channels
-        h = impulse_response(self.P * (1 / self.b), samples)
-        largest = np.linalg.norm(h, axis=(1, 2)).sum()  # not below sigma_max(P) / b
-        if largest > MOST_UNEQUAL:
-            units = np.eye(samples * m).reshape(-1, samples, m)
-            return self.apply(units).reshape(samples * m, -1).T
-        normal = gram(h).transpose(0, 2, 1, 3).reshape(samples * m, -1)
-        normal[np.diag_indices_from(normal)] += 1
-        # P_N^T E is upper triangular: the block in row i and column j is h(j - i)^T E
-        back = np.concatenate([h.swapaxes(1, 2) @ self.E, np.zeros((samples - 1, m, m))])
-        lag = np.subtract.outer(np.arange(samples), np.arange(samples)).T
-        right = back[lag].transpose(0, 2, 1, 3).reshape(samples * m, -1)
-        B = cho_solve(cho_factor(normal), right) / self.b
-        units = np.tile(self.scale, samples)
-        return units[:, None] * B / units
-
 
 @lru_cache(maxsize=4)
 def _norm_optimal(base, samples):
     """Of P / b, whose weight is one, on trials of so many samples: factored once."""
     return NormOptimal(base.P * (1 / base.b), 1.0, samples)
-
-
-def gram(h) -> np.ndarray:
-    """P_N^T P_N of an impulse response h, (N, p, m), by blocks: (N, N, m, m).
-
-    P_N is lower triangular and Toeplitz, so that each block is the next one on its diagonal and a
-    product of two samples of h: G(i, j) = G(i + 1, j + 1) + h(N - 1 - i)^T h(N - 1 - j).
-    """
-    N, p, m = h.shape
-    columns = h[::-1].swapaxes(0, 1).reshape(p, N * m)
-    blocks = (columns.T @ columns).reshape(N, m, N, m).transpose(0, 2, 1, 3).copy()
-    for i in reversed(range(N - 1)):
-        blocks[i, :-1] += blocks[i + 1, 1:]
-    return blocks
 
 
 def quadratic_law(P, b) -> np.ndarray:
@@ -246,6 +205,14 @@ def _shortened(B, counts, farthest):
         if farthest == N or missed.max() < NEGLIGIBLE:
             return coefficients[kept], N
         N *= 2
+
+
+def coefficients_of(response) -> np.ndarray:
+    """Coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
+
+    By its response at n / 2 + 1 frequencies, evenly from zero to the Nyquist frequency.
+    """
+    return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
 
 
 def _faded(response, number, cutoff, omega):

@@ -173,7 +173,7 @@ zero_phase_butterworth = ZeroPhaseButterworth
 class LearningOperator(Protocol):
     """Whatever can stand for L in the law (23): it knows its response and acts on a trial.
 
-    :class:`LearningFilter` is one; those of other designs are in :mod:`ilctools.alternatives`.
+    :class:`LearningFilter` is one; those of other designs are in :mod:`ilctools.norm_optimal`.
     """
 
     @property

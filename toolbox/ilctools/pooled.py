@@ -19,7 +19,7 @@ columns of [C, D]: P* P and P* E, which is all that B needs, remain. So P keeps 
 [C, D] has columns.
 
 If P has an error of d, then to first order B differs by 5 d / (4 b^2) at most, and M by that times
-sigma_max(P). So d is chosen for a small change of M, and then compared at many frequencies.
+sigma_max(P). So d is chosen for a small change of M, and then P* P is compared with its mean.
 """
 
 from typing import NamedTuple
@@ -34,12 +34,11 @@ from ilctools.singular_values import largest_singular_values
 GROUP = 8  # models that are joined at a time: of 200, two take 1.6 times and 32 twice as long
 CHANGES = 1e-9, 1e-5  # of M, for which states are left out; the second if too many remain, as a
 # finite filter in the place of B would change M by 1e-4
-DOUBLINGS = (
-    50  # at most, of the terms of a Gramian: a pole within 1e-14 of the circle rings so long
-)
+# of the terms of a Gramian, at most: a pole within 1e-14 of the circle rings so long
+DOUBLINGS = 50
 ROUNDING = 1e-17  # of a Gramian's factor, relative: what is less is not added
 PASSES = 3  # levels of groups of GROUP, up to 512 models, each of which adds its error
-FREQUENCIES = 128  # at which the error is compared, beside those of the poles
+FREQUENCIES = 128  # at which P* P is compared, beside those of the poles
 
 
 class Pooled(NamedTuple):
@@ -62,9 +61,11 @@ def pooled(models, b, change) -> Pooled:
     count, m = len(models), models[0].ninputs
     if count == 1:
         return Pooled(models[0], np.eye(m))
-    omega = _frequencies(models)
+    poles = np.concatenate([model.poles() for model in models])
+    grid = np.linspace(0, np.pi, FREQUENCIES)
+    omega = np.append(grid, np.abs(np.angle(poles))) / models[0].dt
     P = np.array([frequency_response(model, omega) for model in models])
-    size = max(map(np.max, map(largest_singular_values, P)))
+    size = np.linalg.norm(P, 2, axis=(2, 3)).max()
     error = change * b**2 / (1.25 * size)
     share = 1 / np.sqrt(count)
     groups = [Pooled(model * share, np.eye(m) * share) for model in models]
@@ -72,37 +73,27 @@ def pooled(models, b, change) -> Pooled:
         parts = [groups[k : k + GROUP] for k in range(0, len(groups), GROUP)]
         # errors of outputs that stand one below the other add by their squares
         groups = [_joined(part, error / np.sqrt(len(parts))) for part in parts]
-    [joined] = groups
-    if _differs(joined, P, omega) <= 2 * PASSES * error * size:
-        return joined
+    found = frequency_response(groups[0].P, omega)
+    differs = _square(found) - _square(P).mean(axis=0)
+    if largest_singular_values(differs).max() <= 2 * PASSES * error * size:
+        return groups[0]
     return Pooled(control.append(*models) * isometry(count, m), isometry(count, m))
 
 
-def _frequencies(models):
-    """From rest to the Nyquist frequency, and those of all poles, rad/s."""
-    Ts = models[0].dt
-    grid = np.append(0, np.geomspace(1e-4, 1, FREQUENCIES)) * np.pi
-    poles = np.concatenate([model.poles() for model in models])
-    return np.unique(np.append(grid, np.abs(np.angle(poles[poles != 0])))) / Ts
-
-
-def _differs(joined, P, omega):
-    """Largest difference of P* P from the mean of P_k* P_k, P of shape (p, n, m, m)."""
-    found = frequency_response(joined.P, omega)
-    product = found.conj().swapaxes(1, 2) @ found
-    mean = (P.conj().swapaxes(2, 3) @ P).mean(axis=0)
-    return largest_singular_values(product - mean).max()
+def _square(P):
+    """P* P."""
+    return P.conj().swapaxes(-2, -1) @ P
 
 
 def _joined(group, error) -> Pooled:
     """Some pooled plants as one, with few states and outputs; P then differs by `error` at most."""
-    m = group[0].P.ninputs
-    P = control.append(*(part.P for part in group)) * np.tile(np.eye(m), (len(group), 1))
-    E = np.concatenate([part.E for part in group])
+    P = control.append(*(part.P for part in group))
+    P *= np.tile(np.eye(group[0].P.ninputs), (len(group), 1))
     A, B, C = _truncated(*balanced(P), error)
     rows, upper = qr(np.hstack([C, P.D]), mode="economic")
     C, D = np.hsplit(upper, [len(A)])
-    return Pooled(control.ss(A, B, C, D, P.dt, remove_useless_states=False), rows.T @ E)
+    E = rows.T @ np.concatenate([part.E for part in group])
+    return Pooled(control.ss(A, B, C, D, P.dt, remove_useless_states=False), E)
 
 
 def _truncated(A, B, C, error):

@@ -32,8 +32,6 @@ B. D. O. Anderson and J. B. Moore, Optimal filtering, Prentice-Hall, 1979, Secti
 """
 
 from collections.abc import Iterator
-from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -51,10 +49,6 @@ class Gains(NamedTuple):
 
     K: np.ndarray  # (count, m, n)
     root: np.ndarray  # (count, m, m), T^-1
-
-    def of(self, part: slice) -> "Gains":
-        """Those of some samples."""
-        return Gains(self.K[part], self.root[part])
 
 
 def gains(A, B, C, D, weight: float, samples: int) -> Gains:
@@ -87,10 +81,8 @@ class TrialLeastSquares:
     """The minimum of (1) for trials of so many samples; factored once, for any f and g."""
 
     def __init__(self, A, B, C, D, weight: float, samples: int):
-        self.A, self.B = A, B
-        self.samples = samples
+        self.A, self.B, self.samples = A, B, samples
         self.gains = gains(A, B, C, D, weight, samples)
-        self.stationary = samples - len(self.gains.K)  # samples at which the first gains hold
         self.piece = max(1, PIECE // (2 * max(1, A.size)))
 
     def solved(self, signal, to_x, to_d) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
@@ -99,71 +91,53 @@ class TrialLeastSquares:
         The signal has the shape (trials, samples, any); x and d of the samples of a slice have
         (trials, so many, n or m).
         """
+        starts = range(0, self.samples, self.piece)
+        parts = [slice(start, min(start + self.piece, self.samples)) for start in starts]
         u = np.empty((len(signal), self.samples, self.B.shape[1]))
         s = np.zeros((len(signal), len(self.A)))
-        for part in reversed(self._pieces):
-            K, root, band = self._of(part)
+        for part in reversed(parts):
+            K, root, F = self._of(part)
             f, g = signal[:, part] @ to_x, signal[:, part] @ to_d
             right = f - _times(g, K)
-            right[:, -1] += s @ (self.A - self.B @ K[-1])
-            now = _substituted(band, right, "T")  # (5)
+            right[:, -1] += s @ F[-1]
+            now = _substituted(F, right, "T")  # (5)
             after = np.concatenate([now[:, 1:], s[:, None]], axis=1)
             u[:, part] = _times(_times(g + after @ self.B, root), root.swapaxes(1, 2))
             s = now[:, 0]
         x = np.zeros_like(s)
-        for part in self._pieces:
-            K, _, band = self._of(part)
+        for part in parts:
+            K, _, F = self._of(part)
             forcing = u[:, part] @ self.B.T
             right = np.concatenate([x[:, None], forcing[:, :-1]], axis=1)
-            states = _substituted(band, right, "N")  # (7)
+            states = _substituted(F, right, "N")  # (7)
             changes = u[:, part] - _times(states, K.swapaxes(1, 2))  # (6)
-            x = states[:, -1] @ (self.A - self.B @ K[-1]).T + forcing[:, -1]
+            x = states[:, -1] @ F[-1].T + forcing[:, -1]
             yield part, states, changes
 
-    @cached_property
-    def _pieces(self) -> list[slice]:
-        """The trial in pieces, none of which has both stationary gains and others."""
-        ends = [*range(0, self.stationary, self.piece)]
-        ends += [*range(self.stationary, self.samples, self.piece), self.samples]
-        return [slice(*pair) for pair in pairwise(ends)]
-
     def _of(self, part):
-        """K, T^-1 and the matrix of (5) and (7) of the samples of a piece."""
-        if part.start >= self.stationary:
-            own = slice(part.start - self.stationary, part.stop - self.stationary)
-            K, root = self.gains.of(own)
-            return K, root, _band(self.A - self.B @ K)
-        K, root = self.gains.of(slice(1))
-        return K, root, self._stationary_band[:, : (part.stop - part.start) * len(self.A)]
-
-    @cached_property
-    def _stationary_band(self):
-        F = self.A - self.B @ self.gains.K[0]
-        return _band(np.broadcast_to(F, (self.piece, *F.shape)))
+        """K, T^-1 and F of each sample of a piece."""
+        before = self.samples - len(self.gains.K)  # samples at which the first gains hold
+        number = np.maximum(np.arange(part.start, part.stop) - before, 0)
+        K, root = (each[number] for each in self.gains)
+        return K, root, self.A - self.B @ K
 
 
-def _band(F) -> np.ndarray:
-    """The matrix of x(p + 1) - F(p) x(p), lower triangular, by its diagonals: LAPACK's layout.
+def _substituted(F, right, trans) -> np.ndarray:
+    """x(p) of x(p + 1) - F(p) x(p) = right(p + 1), or of its transpose, (trials, samples, n).
 
-    Its transpose is that of s(p) - F(p)' s(p + 1).
+    By the lower triangular matrix of the whole piece, with ones on its diagonal.
     """
-    count, n, _ = F.shape
-    i, j = np.indices((n, n))
-    columns = np.zeros((count, n, 2 * n))
-    columns[:, j, n + i - j] = -F  # rows below the diagonal; on it is one
-    return columns.reshape(count * n, 2 * n).T
-
-
-def _substituted(band, right, trans) -> np.ndarray:
-    """x of band x = right, which have the shape (trials, samples, n); on the diagonal is one."""
     if not right.size:
         return right
+    count, n, _ = F.shape
+    i, j = np.indices((n, n))
+    diagonals = np.zeros((count, n, 2 * n))  # in LAPACK's layout of a band
+    diagonals[:, j, n + i - j] = -F
     columns = right.reshape(len(right), -1).T
-    return dtbtrs(band, columns, uplo="L", trans=trans, diag="U")[0].T.reshape(right.shape)
+    solved, _ = dtbtrs(diagonals.reshape(count * n, -1).T, columns, uplo="L", trans=trans, diag="U")
+    return solved.T.reshape(right.shape)
 
 
 def _times(signal, matrices) -> np.ndarray:
-    """signal(p)' M(p), for signals (trials, samples, k); one matrix may serve all samples."""
-    if len(matrices) == 1:
-        return signal @ matrices[0]
+    """signal(p)' M(p), for signals (trials, samples, k)."""
     return np.einsum("tpk,pkl->tpl", signal, matrices)

@@ -27,6 +27,28 @@ def lags(gain=1.0, pole=0.9):
     return control.ss(A, gain * np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
 
 
+def copies(count):
+    """One axis with as many gains."""
+    axis = control.ss(control.sample_system(control.tf([400], [1, 20, 400]), 0.01))
+    return [axis * (1 + k / 400) for k in range(count)]
+
+
+def others(count, seed=0):
+    """Axes with poles of their own."""
+    random, plants = np.random.default_rng(seed), []
+    for _ in range(count):
+        corner, damping = 20 * random.uniform(0.8, 1.25), random.uniform(0.35, 0.65)
+        plant = control.tf([corner**2], [1, 2 * damping * corner, corner**2])
+        plants.append(control.ss(control.sample_system(plant, 0.01)))
+    return plants
+
+
+def coupled(count):
+    """Two channels, each plant with poles and gains of its own."""
+    random = np.random.default_rng(1)
+    return [lags(random.uniform(0.9, 1.1), random.uniform(0.85, 0.93)) for _ in range(count)]
+
+
 def response_of(coefficients, omega):
     """sum over k of C_k z^k, k = 1, 2, ..., at a sampling period of one."""
     z = np.exp(1j * np.outer(omega, np.arange(1, 1 + coefficients.shape[-1])))

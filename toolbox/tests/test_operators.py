@@ -9,6 +9,7 @@ from plants import random_stable
 
 from ilctools import LearningFilter, NormOptimal, zero_phase_butterworth
 from ilctools.base import RegularisedInverse
+from ilctools.pooled import isometry
 
 RANDOM, SAMPLES, MIDDLE = np.random.default_rng(0), 400, 200
 P = random_stable(0)
@@ -29,7 +30,7 @@ OPERATORS = {
     "B K": INVERSE @ LearningFilter(TAPS, Ts, "hold-last", -2),
     "finite B K": LearningFilter(LONG, Ts, first=-60) @ LearningFilter(TAPS, Ts),
     "inverse": INVERSE,
-    "inverse of two models": RegularisedInverse(TWO_MODELS, 0.5, [1.0, 4.0]),
+    "inverse of two models": RegularisedInverse(TWO_MODELS, 0.5, [1.0, 4.0], isometry(2, 2)),
     "norm-optimal": NormOptimal(P, 0.25, SAMPLES),
 }
 

@@ -236,8 +236,7 @@ class Certificate:
     def trial(self) -> tuple[int, float]:
         """Samples of a settled trial, and its largest norm; NaN unless P and Q are models.
 
-        Of several plants it is the largest over all of them. The norms of those that cannot be the
-        worst are not computed to the end, see :mod:`.worst_trial`.
+        Of several plants it is the largest over all of them, see :mod:`.worst_trial`.
         """
         problem = self.problem
         if None in problem.response.models or isinstance(problem.lowpass, SampledQ):

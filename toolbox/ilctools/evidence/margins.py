@@ -24,8 +24,9 @@ of ``control.stability_margins`` are those of a feedback loop, which v = Q (v + 
 to trial only.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import ROUND_DOWN, Context
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -47,6 +48,7 @@ MOST = 8000  # frequencies for the poles of L: of a finite filter of thousands o
 PARTS = 4  # frequencies for each sample of a table, whose splines miss most halfway
 LEVEL = 0.98  # from 0.99 of which on a worst case is exact, and crests have their parabolas
 ONE = 1 + 1e-9  # what rounding makes of one
+TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)
 CLOSE = 1e-4  # relative, of a limit: it is printed with two digits
 
 
@@ -77,166 +79,111 @@ def _percent(distance):
 
 def inwards(distance: float) -> float:
     """A distance rounded towards zero, to two digits."""
-    distance *= 1 + 1e-12  # 100 * 0.29 is less than 29 by rounding
-    if distance <= 0:
-        return 0.0
-    digit = np.floor(np.log10(distance)) - 1
-    return float(f"{np.floor(distance * 10.0**-digit):.0f}e{digit:.0f}")
+    # 100 * 0.29 is less than 29 by rounding
+    return float(TWO_DIGITS.create_decimal_from_float(max(distance, 0.0) * (1 + 1e-12)))
 
 
 def margins(problem: Problem, L) -> Margins:
     """The margins of a filter, in units of `scale`, for all plants of a problem at once."""
     response, cutoff = problem.response, problem.lowpass.cutoff
-    filters = Filters.of(problem, L)
-    plants = [Perturbed.of(response, number, filters) for number in range(len(response.models))]
-    unit = np.linalg.norm(response.anywhere(0, np.clip([cutoff], *_ends(response)))[0][0], 2)
+    filters = _filters(problem, L)
+    plants = [Perturbed(response, number, filters) for number in range(len(response.models))]
+    at_cutoff, _ = response.anywhere(0, np.clip([cutoff], *_ends(response)))
+    unit = np.linalg.norm(at_cutoff[0], 2) or 1.0
     samples = TURN / (cutoff * problem.Ts)
-    gain, delay = [plant.gain for plant in plants], [plant.delay for plant in plants]
-    slower, anything = [plant.slower for plant in plants], [plant.anything for plant in plants]
     return Margins(
-        (limit(gain, np.array([1.0, 0.0])), limit(gain, GAINS)),
-        (abs(limit(delay, -samples)), limit(delay, samples)),
-        (1 / limit(slower, 1 / TIMES), limit(slower, TIMES)),
-        limit(anything, RADII * (unit or 1.0)) / (unit or 1.0),
+        (limit(plants, "gain", np.array([1.0, 0.0])), limit(plants, "gain", GAINS)),
+        (abs(limit(plants, "delay", -samples)), limit(plants, "delay", samples)),
+        (1 / limit(plants, "slower", 1 / TIMES), limit(plants, "slower", TIMES)),
+        limit(plants, "radius", RADII * unit) / unit,
     )
 
 
-def limit(peaks: list[Callable], steps) -> float:
+def limit(plants, what: str, steps) -> float:
     """How far from the first of some steps all peaks stay below one; the last if there, too."""
-    start, last = steps[0], steps[-1]
-    way = np.sign(last - start)
-    for peak in peaks:
-
-        def excess(distance, peak=peak):
-            return peak(start + way * distance) - ONE
-
-        # of a further plant only what is less than the limit of those before
-        nearer = np.abs(steps - start)
-        nearer = np.append(nearer[nearer < abs(last - start)], abs(last - start))
-        distance = _first_root(excess, nearer)
-        last = start + way * distance
-    return float(last)
+    for plant in plants:  # of a further one only up to the limit of those before
+        steps = _up_to_root(lambda value, plant=plant: plant.peak(**{what: value}) - ONE, steps)
+    return float(steps[-1])
 
 
-def _first_root(excess, distances):
-    """Up to where an excess stays below zero, by steps outwards and Brent's method."""
-    inside = 0.0
-    for outside in distances:
-        if excess(outside) >= 0:
-            break
-        inside = outside
-    if inside == outside or outside == 0:
-        return inside
-    tiny = CLOSE * distances[1]
-    root = brentq(excess, inside, outside, xtol=CLOSE * tiny, rtol=CLOSE / 2)
-    return max(inside, root * (1 - CLOSE))
+def _up_to_root(excess, steps):
+    """The steps at which an excess is below zero, and its root between them and the next one."""
+    outside = next((k for k, step in enumerate(steps) if excess(step) >= 0), None)
+    if not outside:
+        return steps if outside is None else steps[:1]
+    inner, outer = steps[outside - 1], steps[outside]
+    root = brentq(excess, inner, outer, xtol=CLOSE**2 * abs(steps[1] - steps[0]))
+    return np.append(steps[:outside], root + CLOSE * (steps[0] - root))
 
 
-@dataclass(frozen=True)
-class Filters:
+class Filters(NamedTuple):
     """Q and L at frequencies between which splines hold."""
 
     omega: np.ndarray
     Q: CubicSpline
     L: CubicSpline
 
-    @staticmethod
-    def of(problem: Problem, L) -> "Filters":
-        """Those of a problem, from rest or the first sample up to Nyquist's frequency."""
-        poles = [L.poles]
-        if isinstance(problem.lowpass, ZeroPhaseButterworth):
-            poles.append(problem.lowpass.poles)
-        turn = float(phase(L.poles, np.array([np.pi]))[0])
-        omega = phase_grid(poles, max(STEP, turn / MOST)) / problem.Ts
-        first, last = _ends(problem.response)[0], np.pi / problem.Ts
-        omega = np.union1d(problem.omega, omega[(omega > first) & (omega < last)])
-        omega = np.union1d(omega, [first, last])
-        Q, L = (CubicSpline(omega, f.frequency_response(omega)) for f in (problem.lowpass, L))
-        return Filters(omega, Q, L)
+
+def _filters(problem, L) -> Filters:
+    """Those of a problem, from rest or the first sample up to Nyquist's frequency."""
+    lowpass, poles = problem.lowpass, [L.poles]
+    if isinstance(lowpass, ZeroPhaseButterworth):
+        poles.append(lowpass.poles)
+    turn = float(phase(L.poles, np.array([np.pi]))[0])
+    omega = phase_grid(poles, max(STEP, turn / MOST)) / problem.Ts
+    ends = _ends(problem.response)[0], np.pi / problem.Ts
+    omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
+    return Filters(omega, *(CubicSpline(omega, f.frequency_response(omega)) for f in (lowpass, L)))
 
 
-@dataclass(frozen=True)
 class Perturbed:
-    """A plant with one thing changed; each method is the peak of sigma_max(M)."""
+    """A plant with something changed, behind filters."""
 
-    filters: Filters
-    Ts: float
-    ends: tuple[float, float]  # between which the plant is known, rad/s
-    jumps: np.ndarray  # frequencies at which its radius begins and ends
-    omega: np.ndarray  # (n,)
-    P: np.ndarray  # (n, m, m)
-    radius: np.ndarray  # (n,)
-    Q: np.ndarray  # (n,)
-    L: np.ndarray  # (n, m, m)
-    P_at: CubicSpline  # P between the ends
-
-    @staticmethod
-    def of(response: Response, number: int, filters: Filters) -> "Perturbed":
-        """A plant of a response, by number."""
-        model, ends = response.models[number], _ends(response)
-        own = [filters.omega, np.nextafter(response.omega[[0, -1]], [0, np.inf])]
+    def __init__(self, response: Response, number: int, filters: Filters):
+        model, (first, last) = response.models[number], response.omega[[0, -1]]
+        self.filters, self.Ts, self.ends = filters, response.Ts, _ends(response)
+        # the last frequencies before a radius begins, or ends
+        self.jumps = np.array([np.nextafter(first, 0), last])
         if model is None:
-            own.append(subdivided(response.omega, PARTS))
+            own = subdivided(response.omega, PARTS)
         else:
-            own.append(phase_grid([model.poles()], STEP) / response.Ts)
-        omega = np.unique(np.concatenate(own))
-        omega = omega[(omega >= ends[0]) & (omega <= filters.omega[-1])]
-        P, radius = response.anywhere(number, omega)
-        known = omega <= ends[1]
-        return Perturbed(
-            filters, response.Ts, ends, response.omega[[0, -1]], omega, P, radius,
-            filters.Q(omega), filters.L(omega), CubicSpline(omega[known], P[known]),
-        )  # fmt: skip
+            own = phase_grid([model.poles()], STEP) / response.Ts
+        omega = np.unique([*filters.omega, *own, *self.jumps, np.nextafter(last, np.inf)])
+        self.omega = omega[(omega >= self.ends[0]) & (omega <= filters.omega[-1])]
+        P, self.radius = response.anywhere(number, self.omega)
+        known = self.omega <= self.ends[1]
+        self.P = CubicSpline(self.omega[known], P[known])
 
-    def gain(self, g: float) -> float:
-        """With g P(omega)."""
-        return self._peak(self.omega, g * self.P, g * self.radius)
-
-    def delay(self, d: float) -> float:
-        """With exp(-j omega d Ts) P(omega)."""
-        turn = np.exp(-1j * self.omega * d * self.Ts)[:, None, None]
-        return self._peak(self.omega, turn * self.P, self.radius)
-
-    def anything(self, r: float) -> float:
-        """With P(omega) + Delta, ||Delta|| <= r."""
-        return self._peak(self.omega, self.P, self.radius + r)
-
-    def slower(self, a: float) -> float:
-        """With P(a omega), where that is known; up to Nyquist's frequency."""
-        low, high = self.ends
-        omega = np.union1d(self.filters.omega, self.omega / a)
-        omega = omega[omega <= self.filters.omega[-1]]
-        if high < self.filters.omega[-1]:  # samples end there
-            omega = omega[a * omega <= high]
-        there = np.clip(a * omega, low, high)
-        radius = np.interp(there, self.omega, self.radius)
-        Q, L = self.filters.Q(omega), self.filters.L(omega)
-        sigma = within_radius(self.P_at(there), Q, L, radius, LEVEL)
-        return highest(omega, sigma, self.jumps / a)
-
-    def _peak(self, omega, P, radius):
-        sigma = within_radius(P, self.Q, self.L, radius, LEVEL)
-        return highest(omega, sigma, self.jumps)
+    def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
+        """Of sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""
+        (low, high), nyquist = self.ends, self.filters.omega[-1]
+        omega = np.union1d(self.filters.omega, self.omega / slower)
+        known = (slower * omega <= high) | (slower == 1)
+        omega = omega[known & (omega <= nyquist)]
+        there = np.clip(slower * omega, low, nyquist)
+        P = gain * self.P(np.minimum(there, high))
+        P *= (np.exp(-1j * omega * delay * self.Ts) * (there <= high))[:, None, None]
+        radius = gain * np.interp(there, self.omega, self.radius) + radius
+        sigma = within_radius(P, self.filters.Q(omega), self.filters.L(omega), radius, LEVEL)
+        return highest(omega, sigma, self.jumps / slower)
 
 
 def _ends(response):
-    """Between which frequencies P is known: of models all, of a table its own, rad/s."""
-    if response.sampled:
-        return response.omega[[0, -1]]
-    return np.array([0.0, np.pi / response.Ts])
+    """Between which frequencies P is known, rad/s; without end also where Nyquist's is the last."""
+    first = response.omega[0] if response.sampled else 0.0
+    return first, np.inf if response.beyond is None else response.omega[-1]
 
 
 def highest(omega, sigma, jumps) -> float:
     """The highest of some crests, by the parabolas through three points, (n,).
 
-    Over jumps no parabola is laid.
+    Over a jump, which comes after a frequency, no parabola is laid.
     """
-    before, here, after = sigma[:-2], sigma[1:-1], sigma[2:]
-    steps = np.diff(omega)
-    smooth = np.searchsorted(jumps, omega[:-2]) == np.searchsorted(jumps, omega[2:], "right")
-    crest = np.flatnonzero(smooth & (here > LEVEL) & (here > before) & (here >= after))
-    left, right = ((here - before) / steps[:-1])[crest], ((after - here) / steps[1:])[crest]
-    wide = omega[2:][crest] - omega[:-2][crest]
-    slope = (left * steps[1:][crest] + right * steps[:-1][crest]) / wide
-    tops = here[crest] + slope**2 * wide / (4 * (left - right))
-    return float(max(sigma.max(), tops.max(initial=0)))
+    steps, wide = np.diff(omega), omega[2:] - omega[:-2]
+    slopes, side = np.diff(sigma) / steps, np.searchsorted(jumps, omega)
+    before, after = slopes[:-1], slopes[1:]
+    slope = (before * steps[1:] + after * steps[:-1]) / wide
+    here = sigma[1:-1]
+    crest = (here > LEVEL) & (before > 0) & (after <= 0) & (side[2:] == side[:-2])
+    more = slope[crest] ** 2 * wide[crest] / (4 * (before - after)[crest])
+    return float(max(sigma.max(), (here[crest] + more).max(initial=0)))

@@ -13,13 +13,14 @@ import numpy as np
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.base import RegularisedInverse, isometry
+from ilctools.base import RegularisedInverse
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import keep_others, regular, write_whole
 from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import LimitsOf, named_limits
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
+from ilctools.pooled import isometry
 from ilctools.signals import Signals, check_match
 
 FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file, see `is_newer`
@@ -108,12 +109,15 @@ def _filter_note(L):
 
 
 def _base_note(B):
-    """A base, with E where it does not follow from the shape of P."""
+    """A base, with E where it is not that of models which stand one below the other."""
     note = {"b": B.b, "scale": B.scale, "P": B.P}
-    copies, rest = divmod(B.P.noutputs, B.channels)
-    if not rest and np.array_equal(B.E, isometry(copies, B.channels)):
-        return note
-    return note | {"E": B.E}
+    return note if np.array_equal(B.E, _stacked(B.P)) else note | {"E": B.E}
+
+
+def _stacked(P):
+    """E of square models one below the other, as in notes without E; None if P is none of them."""
+    copies, rest = divmod(P.noutputs, P.ninputs)
+    return None if rest else isometry(copies, P.ninputs)
 
 
 def _law_from(Ts, Q, L, rest, step, actuators):
@@ -124,7 +128,10 @@ def _law_from(Ts, Q, L, rest, step, actuators):
 
 def _filter_from(Ts, base=None, **taps):
     K = LearningFilter(Ts=Ts, **taps)
-    return K if base is None else RegularisedInverse(**base | {"P": model_from(base["P"])}) @ K
+    if base is None:
+        return K
+    P = model_from(base["P"])
+    return RegularisedInverse(**{"E": _stacked(P)} | base | {"P": P}) @ K
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:

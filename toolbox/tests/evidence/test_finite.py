@@ -3,8 +3,11 @@
 import control
 import numpy as np
 import pytest
+from plants import furnace, lag
 
 from ilctools import LearningFilter, trial_map, trial_norm, trial_operators, zero_phase_butterworth
+from ilctools.evidence.finite import settled_norm
+from ilctools.models import sampled_plant
 
 TAPS = 0.3 * np.random.default_rng(1).standard_normal((2, 2, 10))
 
@@ -35,3 +38,22 @@ def test_lanczos_finds_the_norm_of_the_matrix(loop, Q, samples, trials, rest):
     assert norm == pytest.approx(np.linalg.norm(power, 2), rel=1e-6)
     assert np.linalg.norm(before) == pytest.approx(1)
     np.testing.assert_allclose(power @ before.ravel(), after.ravel(), atol=1e-11)
+
+
+LOWPASS, TAP = zero_phase_butterworth(2, 0.5, 1.0), LearningFilter([[[0.5]]], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("plants", "samples"),
+    [
+        ([lag(0.9)], 50 + 10 * np.log(0.02) / np.log(0.9)),  # settled to 2 % ten times
+        ([lag(0.5), lag(0.9)], 50 + 10 * np.log(0.02) / np.log(0.9)),  # the slower
+        ([sampled_plant(furnace(400, gain=0.1), "P")], 50 + 2 * 401),  # twice its delay
+    ],
+)
+def test_a_trial_is_ten_times_as_long_as_the_plants_settle(plants, samples):
+    found, norm = settled_norm(plants, LOWPASS, TAP)
+    assert found == int(samples)
+    assert norm == pytest.approx(
+        max(trial_norm(P, LOWPASS, TAP, found)[0] for P in plants), rel=1e-7
+    )

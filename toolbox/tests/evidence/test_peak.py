@@ -8,14 +8,13 @@ import pandas as pd
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plants import RestartingModel, lags, random_stable, sigma_of_M
+from plants import RestartingModel, copies, lag, lags, random_stable, sigma_of_M
 
 from ilctools import (
     ClosedLoop,
     measured_response,
     multisine,
     read_table,
-    run_trials,
     shake,
     synthesise,
     zero_phase_butterworth,
@@ -25,9 +24,8 @@ from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units
 from ilctools.singular_values import largest_singular_values
 
-AXIS = control.ss(control.sample_system(control.tf([400], [1, 20, 400]), 0.01))
+[AXIS] = copies(1)
 Q = zero_phase_butterworth(2, 40.0, 0.01)
-MOVE = 20 * np.sin(np.pi * np.clip(np.arange(-50, 350) / 250, 0, 1)) ** 4
 
 
 def table(first, last=314.0):
@@ -44,12 +42,9 @@ def test_a_table_that_begins_too_late_promises_nothing():
     assert design.certificate.failures == []
     assert "assumed: below 20 rad/s, where P is not known" in f"{design}"
     assert not design.check(table(20.0)).converges
-    loop = ClosedLoop(AXIS, outputs=["x"], units={"x": "mm"})
-    e = run_trials(loop, design.law(), MOVE, trials=4).e
-    assert float((e[3] ** 2).mean()) > 1e4 * float((e[0] ** 2).mean())
 
 
-@pytest.mark.parametrize(("first", "more"), [(0.4, 1e-3), (0.8, 3e-3), (2.0, 0.02), (4.0, 0.1)])
+@pytest.mark.parametrize(("first", "more"), [(0.4, 1e-3), (4.0, 0.1)])
 def test_a_table_with_a_small_phase_hardly_suffers(first, more):
     """Nothing warns, the filter is that for the known range, and the rate holds for the plant.
 
@@ -74,16 +69,6 @@ def test_a_rate_within_a_radius_holds_for_plants_within_it_down_to_rest():
     assert design.rate < 0.055
 
 
-def test_the_worst_of_the_region_is_reached_by_one_of_its_plants():
-    design = synthesise(table(4.0), Q)
-    peak, response = design.certificate.peaks[BELOW], design.problem.response
-    region = response.below(0, np.array([peak.omega]))
-    L = design.filter.frequency_response([peak.omega])[0, 0, 0]
-    deltas = region.moves * region.W[0, 0] * np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
-    M = Q.frequency_response([peak.omega]) * np.abs(1 - (region.P[0, 0, 0] + deltas) * L)
-    assert M.max() == pytest.approx(peak.sigma, rel=1e-5)  # of the steps of the angle, squared
-
-
 def test_a_model_is_known_at_rest():
     omega = np.geomspace(20, 314, 200)
     assert BELOW not in synthesise(AXIS, Q, omega).certificate.peaks
@@ -91,21 +76,15 @@ def test_a_model_is_known_at_rest():
     assert BELOW not in design.certificate.peaks and "assumed: below" not in f"{design}"
 
 
-@pytest.mark.parametrize("gain", [1.0, 2.5])
-def test_below_the_lowest_line_of_a_shaken_rig_the_rate_holds_too(gain):
-    """Three lags, from a tenth of the cut-off on; at rest nothing was measured."""
-    s = control.tf("s")
-    plant = control.ss(control.sample_system(control.ss(gain / (s / 3 + 1) ** 3), 0.01))
-    plant = control.ss(plant, inputs=["w1"], outputs=["y1"])
-    loop = ClosedLoop(Ts=0.01, outputs=["y1"])
+def test_below_the_lowest_line_of_a_shaken_rig_the_rate_holds_too():
+    """Two lags, from a tenth of the cut-off on; at rest nothing was measured."""
+    plant = control.ss(lag(0.97, 2.5, 0.01) * lag(0.97, Ts=0.01), inputs=["w1"], outputs=["y1"])
+    loop, lowpass = ClosedLoop(Ts=0.01, outputs=["y1"]), zero_phase_butterworth(2, 3.0, 0.01)
     excitation = multisine(loop, 0.3, 9.0, 1.0, 0.1, 20)
     measured = measured_response(shake(RestartingModel(plant, noise=0.002), loop, excitation))
-    lowpass = zero_phase_butterworth(2, 3.0, 0.01)
     design = synthesise(measured, lowpass)
-    assert peak_of_M(plant, design.filter, lowpass)[0] <= design.rate < 0.9
-    below = np.linspace(0, measured.omega[0], 200)
-    true = sigma_of_M(below, plant, lowpass, design.filter).max()
-    assert true <= design.certificate.peaks[BELOW].sigma * (1 + CLOSE)
+    true = sigma_of_M(np.linspace(0, measured.omega[0], 100), plant, lowpass, design.filter)
+    assert true.max() <= design.certificate.peaks[BELOW].sigma <= design.rate < 0.9
     assert "P is what the measured response says at rest" in f"{design}"
 
 

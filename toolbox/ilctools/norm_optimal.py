@@ -1,4 +1,4 @@
-"""Norm-optimal learning, for the same law (23), and what it shares with a base of filters.
+"""Norm-optimal learning, for the same law (23).
 
 It is a :class:`ilctools.filters.LearningOperator`, as a :class:`ilctools.LearningFilter` is: it
 goes where L goes.
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import irfft
 
 from ilctools import arguments
 from ilctools.models import Model, balanced, frequency_response, sampled_plant
@@ -130,11 +129,3 @@ def regularised_inverse(P, b) -> np.ndarray:
     below = np.broadcast_to(b * np.eye(m), (len(P), m, m))
     Q, R = np.linalg.qr(np.concatenate([P, below], axis=1))
     return np.linalg.solve(R, Q[:, :p].conj().swapaxes(1, 2))
-
-
-def coefficients_of(response) -> np.ndarray:
-    """Coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
-
-    By its response at n / 2 + 1 frequencies, evenly from zero to the Nyquist frequency.
-    """
-    return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
