@@ -12,13 +12,22 @@ from regions import KINDS, response
 from runner import publish, run, table
 
 from ilctools import measured_response
-from ilctools.measurement import estimation, regression
+from ilctools.measurement import estimation
+from ilctools.measurement.arx import delay, likelihood, quadrature, unknowns
 
 RECORDS = 10
 CHOSEN = "steps", "resonance, noise", "learning, 2 trials"
-CONSTANTS = dict.fromkeys(
-    ["SHARE", "CLOSE", "STEP", "KNOTS", "HEAVY", "LATE", "STEPS"], regression
-) | dict.fromkeys(["INDEPENDENT", "JOINT"], estimation)
+CONSTANTS = {
+    "SHARE_OF_LAGS": unknowns,
+    "CLOSE_KNOTS": unknowns,
+    "KNOTS_STEP": unknowns,
+    "DRIFT_KNOTS": unknowns,
+    "HEAVY": quadrature,
+    "LEAST_DELAY": delay,
+    "CURVATURE_STEP": likelihood,
+    "INDEPENDENT": estimation,
+    "JOINT": estimation,
+}
 
 
 def worst(kind, seed):
@@ -44,7 +53,7 @@ def changed(name, factor):
 
 
 def main():
-    cases = [("SHARE", 1), *product(CONSTANTS, (0.5, 2))]
+    cases = [("SHARE_OF_LAGS", 1), *product(CONSTANTS, (0.5, 2))]
     (usual, *others), rows = run(changed, cases), []
     for (name, factor), found in zip(cases[1:], others, strict=True):
         relative = zip(found[:, 0] / usual[:, 0], found[:, 1], strict=True)

@@ -10,8 +10,9 @@ from test_record import error, log_of
 
 from ilctools import load_log, measured_response, read_table, save_log
 from ilctools.errors import LogError
+from ilctools.measurement.arx.regression import regression
+from ilctools.measurement.arx.trials import Trials
 from ilctools.measurement.consistency import FOLLOWS, contradictions
-from ilctools.measurement.regression import Trials, regression
 from ilctools.models import frequency_response
 from ilctools.signals import dataset
 from ilctools.singular_values import largest_singular_values
@@ -217,7 +218,7 @@ def trials_of(gains, N=200, direct=0.0):
     y = y + lfilter([direct, 1.0], [1, -0.9], d) + 0.003 * rng.standard_normal((K, N))
     y = y - y[:, :1]
     names = tuple(f"trial {k}" for k in range(K))
-    return [Trials(u[..., None], y[..., None], names, d[..., None])]
+    return [Trials(u=u[..., None], y=y[..., None], names=names, disturbance=d[..., None])]
 
 
 def test_a_contradiction_is_by_how_much_of_P_whatever_the_disturbance_does():
