@@ -145,7 +145,7 @@ def score(
     G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
     gains = np.zeros((p, fit.channels.all))
     for j in range(fit.channels.all):
-        where = layout.indices_of_B(j)
+        where = layout.where_B(j)
         gains[where, j] = mean[where]
     Z = block_diag(gains, np.eye(len(G) - p)[:, 1:])
     across, power = G[:p] @ Z, Z.T @ G @ Z  # X' W Z and Z' W Z

@@ -14,8 +14,9 @@ from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-CLIPPED = 300  # rounds of the search for low peaks: three times as many lower them by 3 %
-FEWEST, MOST = 2, 10  # realisations: with more, the quantiles of the radius hardly fall
+CLIPPING_ROUNDS = 300  # of the search for low peaks: three times as many lower them by 3 %
+# By default, as with more the quantiles of the radius hardly fall.
+FEWEST_REALISATIONS, MOST_REALISATIONS = 2, 10
 
 
 @dataclass(frozen=True)
@@ -132,10 +133,7 @@ def multisine(
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
-    amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
-    amplitude = by_channel("amplitude", amplitude, loop.outputs, loop.references)
-    amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
-    amplitude = [arguments.positive("amplitude", value) for value in amplitude]
+    amplitude = _amplitudes(amplitude, loop)
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
     realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
@@ -146,13 +144,22 @@ def multisine(
     return Excitation(Ts, period, periods, harmonics, phases, amplitude)
 
 
+def _amplitudes(amplitude, loop):
+    """Largest |w| of each input, of one number or of one for each input."""
+    m = len(loop.outputs)
+    amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
+    amplitude = by_channel("amplitude", amplitude, loop.outputs, loop.references)
+    amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
+    return [arguments.positive("amplitude", value) for value in amplitude]
+
+
 def _divided(hours, cycle, realisations, lowest):
     """Realisations, and periods of each that are evaluated; `cycle`: hours of a period of all m."""
     hours = arguments.positive("hours", hours, "a positive number of hours")
     available = int(hours / cycle)
     if realisations is None:
-        realisations = np.clip(available // 3, FEWEST, MOST)
-    realisations = arguments.whole("realisations", realisations, FEWEST)
+        realisations = np.clip(available // 3, FEWEST_REALISATIONS, MOST_REALISATIONS)
+    realisations = arguments.whole("realisations", realisations, FEWEST_REALISATIONS)
     periods = available // realisations - 1
     if periods < 2:
         needed = 3 * realisations * cycle
@@ -179,11 +186,11 @@ def _with_low_peaks(phases, harmonics, m):
     period = next_fast_len(8 * harmonics[-1])
     turns = np.exp(2j * np.pi * np.arange(m) / m)
     best, lowest = phases, np.full((*phases.shape[:-1], 1), np.inf)
-    for k in range(CLIPPED):
+    for k in range(CLIPPING_ROUNDS):
         waves = np.real(turns[:, None] * _envelopes(phases, harmonics, period)[..., None, :])
         peak = np.abs(waves).max(axis=(-2, -1))[..., None]
         best, lowest = np.where(peak < lowest, phases, best), np.minimum(peak, lowest)
-        limit = (0.6 + 0.4 * k / CLIPPED) * peak
+        limit = (0.6 + 0.4 * k / CLIPPING_ROUNDS) * peak
         clipped = np.fft.fft(np.clip(waves[..., k % m, :], -limit, limit))[..., harmonics]
         phases = np.angle(clipped / turns[k % m])
     return best

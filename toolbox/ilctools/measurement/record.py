@@ -62,17 +62,13 @@ class Record:
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
         named = {f"log[{i}]" if len(logs) > 1 else "log": log for i, log in enumerate(logs)}
         check_match(**{name: Signals.of_log(log) for name, log in named.items()})
-        if source is None:
-            source = "w" if all("reference" in log for log in logs) else "u"
-        arguments.choice("of", source, ["u", "w"])
+        source = _source_of(logs, source)
         loop = _loop_of(logs[0], source)
         inputs = loop.references if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
         _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
         delay = _samples_of(matched("delay", delay, {INPUT: inputs}), len(inputs))
-        disturbances, known = _known_disturbances(moves)
-        if disturbances:
-            _check_apart(inputs, [one.u for one in moves], disturbances, known)
+        disturbances, known = _known_disturbances(moves, inputs)
         sizes = Sizes(_sizes([one.u for one in moves]), _sizes([one.y for one in moves]))
         return cls(
             groups=_groups(moves, known, sizes),
@@ -146,7 +142,14 @@ def _joined(alike):
     )
 
 
-def _known_disturbances(moves):
+def _source_of(logs, asked):
+    """The inputs that are asked for, or by default w, if all logs have a reference."""
+    if asked is None:
+        return "w" if all("reference" in log for log in logs) else "u"
+    return arguments.choice("of", asked, ["u", "w"])
+
+
+def _known_disturbances(moves, inputs):
     """Names of the disturbances that move in any log, and their moves in each of them.
 
     The moves are in units of their RMS, (trial, time, disturbance); None if nothing moves.
@@ -159,6 +162,7 @@ def _known_disturbances(moves):
         rest = np.zeros(one.y.shape[:2])
         known.append(np.stack([one.disturbance.get(name, rest) for name in names], axis=2))
     check_moved(known, names, "disturbance", "leave it out")
+    _check_apart(inputs, [one.u for one in moves], names, known)
     return tuple(names), [x / _sizes(known) for x in known]
 
 

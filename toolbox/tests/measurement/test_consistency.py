@@ -44,7 +44,7 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     q, J, power = score(fit, groups, columns)
     rows, means = dense(groups, layout)
     X, y = rows[:, :-1], rows[:, -1]
-    of_B = layout.indices_of_B(0)
+    of_B = layout.where_B(0)
     gain = X[:, of_B] @ fit.mean[of_B]
     added = [detrend(columns(series)) for series in series_of(groups)]
     Z = np.column_stack([gain, np.hstack(added).T])

@@ -65,14 +65,14 @@ class Regression:
         """P at angles omega Ts, shape (n, m)."""
         A, layout = self._A(omega), self.data.layout
         B = [
-            layout.waves_of_B(j, omega) @ layout.of_B(j, self.mean)
+            layout.waves_of_B(j, omega) @ self.mean[layout.where_B(j)]
             for j in range(self.channels.commanded)
         ]
         return np.stack(B, axis=1) / A[:, None]
 
     def _A(self, omega):
         layout = self.data.layout
-        return 1 + layout.waves_of_A(omega) @ layout.of_A(self.mean)
+        return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
 
     def covariance(self, omega: np.ndarray) -> ErrorOfP:
         """Of (6), at angles omega Ts."""
@@ -82,7 +82,7 @@ class Regression:
         of_P = []  # dP_j by each unknown, input by input
         for j in range(self.channels.commanded):
             slopes = -P[:, [j]] * of_A  # (6)
-            slopes[:, layout.indices_of_B(j)] = layout.waves_of_B(j, omega) / A
+            slopes[:, layout.where_B(j)] = layout.waves_of_B(j, omega) / A
             of_P.append(slopes)
         both = np.stack([*[slope.real for slope in of_P], *[slope.imag for slope in of_P]], axis=1)
         parts = np.stack([of_A.real, of_A.imag])
@@ -94,7 +94,7 @@ class Regression:
     def denominator(self) -> np.ndarray:
         """The estimate of A, lag by lag."""
         layout = self.data.layout
-        past = coefficients(layout.of_A(self.mean), layout.knots_of_A, self.lags + 1)
+        past = coefficients(self.mean[layout.where(Kind.A)], layout.knots_of_A, self.lags + 1)
         return np.eye(1, self.lags + 1)[0] + past
 
     @property

@@ -149,6 +149,6 @@ def _at_rest(layout, j, known):
     """Of one more row of [X, y], nearly without an error: B_j(1) = known A(1)."""
     row, rest = np.zeros(layout.size + 1), np.zeros(1)
     row[layout.where(Kind.A)] = -known * layout.waves_of_A(rest)[0].real
-    row[layout.indices_of_B(j)] = layout.waves_of_B(j, rest)[0].real
+    row[layout.where_B(j)] = layout.waves_of_B(j, rest)[0].real
     row[-1] = known
     return WEIGHT_AT_REST * np.outer(row, row)

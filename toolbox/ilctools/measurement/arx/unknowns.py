@@ -101,26 +101,19 @@ class Layout:
         return len(self.kind)
 
     @cached_property
-    def _slices(self):
-        ends = np.cumsum([len(block.lag) for block in self.blocks]).tolist()
-        begins = [0, *ends[:-1]]
-        keys = [(block.kind, block.owner) for block in self.blocks]
-        return dict(zip(keys, map(slice, begins, ends), strict=True))
+    def _places(self):
+        places, first = {}, 0
+        for kind, owner, lag, _ in self.blocks:
+            places[kind, owner] = slice(first, first + len(lag))
+            first += len(lag)
+        return places
 
     def where(self, kind: Kind, owner: Hashable = None) -> slice:
         """Where the unknowns of a block stand in x."""
-        return self._slices[kind, owner]
+        return self._places[kind, owner]
 
-    def of_A(self, x: np.ndarray) -> np.ndarray:
-        """Those of A among unknowns (..., unknown)."""
-        return x[..., self.where(Kind.A)]
-
-    def of_B(self, j: int, x: np.ndarray) -> np.ndarray:
-        """Those of the B of input j, its increments and then its slow parts."""
-        return x[..., self.indices_of_B(j)]
-
-    def indices_of_B(self, j: int) -> np.ndarray:
-        """Where the increments and slow parts of the B of input j stand in x."""
+    def where_B(self, j: int) -> np.ndarray:
+        """Where the increments, and then the slow parts, of the B of input j stand in x."""
         return np.r_[self.where(Kind.B, j), self.where(Kind.SLOW, j)]
 
     @property
@@ -151,11 +144,7 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
     knots_of_B = tuple(
         delay + (at_once if direct or j >= commanded else past) for j, delay in enumerate(delays)
     )
-    # An input that rested elsewhere before is still on its way until the latest delay.
-    late = max(delays)
-    start = knots_between(0, reach, CLOSE_KNOTS // COARSER_CLOSE, KNOTS_STEP // COARSER_STEP)
-    start = np.unique(np.append(0, late + start))
-    keys = keys_of(groups)
+    keys, late, start = keys_of(groups), max(delays), _knots_of_start(reach, max(delays))
     has_starts = len(keys) * len(start) <= MOST_OF_STARTS
     poles = np.exp(-TIME_CONSTANTS / longest)
     blocks = (
@@ -166,6 +155,12 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
         *(Block.alike(Kind.DRIFT, i, DRIFT_KNOTS) for i in range(len(groups))),
     )
     return Layout(blocks, past, knots_of_B, start, poles, 0 if has_starts else reach)
+
+
+def _knots_of_start(reach, late):
+    """An input that rested elsewhere before is still on its way until the latest delay."""
+    knots = knots_between(0, reach, CLOSE_KNOTS // COARSER_CLOSE, KNOTS_STEP // COARSER_STEP)
+    return np.unique(np.append(0, late + knots))
 
 
 def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:

@@ -34,7 +34,7 @@ def test_the_covariance_of_P_is_that_of_the_coefficients_by_their_slopes():
     def parts(x):
         changed = replace(fit, mean=x)
         layout = fit.data.layout
-        A = 1 + layout.waves_of_A(omega) @ layout.of_A(x)
+        A = 1 + layout.waves_of_A(omega) @ x[layout.where(Kind.A)]
         both = np.column_stack([changed.response(omega), np.log(A)])
         return np.hstack([both.real, both.imag])  # (n, 2 (m + 1))
 

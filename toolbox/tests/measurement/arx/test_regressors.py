@@ -72,8 +72,8 @@ def test_a_known_P_at_rest_is_a_row_that_hardly_errs():
     layout, added = known.layout, known.products.single - free.products.single
     x = np.random.default_rng(0).standard_normal(layout.size)
     rest = np.zeros(1)
-    A = 1 + (layout.waves_of_A(rest) @ layout.of_A(x)).real
-    B = [(layout.waves_of_B(j, rest) @ layout.of_B(j, x)).real for j in range(2)]
+    A = 1 + (layout.waves_of_A(rest) @ x[layout.where(Kind.A)]).real
+    B = [(layout.waves_of_B(j, rest) @ x[layout.where_B(j)]).real for j in range(2)]
     missed = np.sum((np.array(B)[:, 0] - gain * A) ** 2)
     both = np.append(-x, 1.0)
     assert both @ added @ both == pytest.approx(1e6 * missed, rel=1e-6)
