@@ -1,7 +1,7 @@
 """The frequency response of any records in which the input moved, with its region.
 
-One regression for each output; see :mod:`ilctools.measurement.regression`. With A of that output,
-to first order in the errors dA and dB of its posterior, and then without approximation,
+One regression for each output; see :mod:`ilctools.measurement.arx.regression`. With A of that
+output, to first order in the errors dA and dB of its posterior, and then without approximation,
 
     dP_j = (dB_j - P_j dA) / A,    P_j true - P_j = dP_j / (1 + dA / A).                        (1)
 
