@@ -137,8 +137,7 @@ def multisine(
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
     realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
-    top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
-    harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
+    harmonics = _harmonics(lines, int(highest * Ts * period / (2 * np.pi)), period)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (realisations, m, len(harmonics)))
     phases = _with_low_peaks(phases, harmonics, m).tolist()
     return Excitation(Ts, period, periods, harmonics, phases, amplitude)
@@ -151,6 +150,12 @@ def _amplitudes(amplitude, loop):
     amplitude = by_channel("amplitude", amplitude, loop.outputs, loop.references)
     amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
     return [arguments.positive("amplitude", value) for value in amplitude]
+
+
+def _harmonics(lines, highest, period):
+    """Of a period, evenly spaced on a logarithmic scale up to the highest one below Nyquist's."""
+    top = min(highest, (period - 1) // 2)
+    return np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
 
 
 def _divided(hours, cycle, realisations, lowest):

@@ -23,10 +23,10 @@ from ilctools.signals import Signals, check_match, period_of
 
 FEWEST_SAMPLES = 20  # of a trial
 AXES = "trial", "time", ...
-# Of its size: a disturbance that moves less is constant, but for rounding.
+# A disturbance that moves less, relative to its size, is constant but for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
-# Of its own moves: a disturbance that differs from moves of inputs by less is one of them. A log
-# has three or four digits of each.
+# A disturbance that differs from moves of inputs by less, relative to its own, is one of them: a
+# log has three or four digits of each.
 ALIKE = 1e-3
 # In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
 # most 1e240: a double still holds it. No quantity that a rig has is of such a size in SI units.
@@ -38,6 +38,11 @@ class Sizes(NamedTuple):
 
     inputs: np.ndarray  # (m,)
     outputs: np.ndarray  # (p,)
+
+    @classmethod
+    def of(cls, moves: Sequence["_Moves"]) -> "Sizes":
+        """Over all logs."""
+        return cls(_sizes([one.u for one in moves]), _sizes([one.y for one in moves]))
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class Record:
         _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
         delay = _samples_of(matched("delay", delay, {INPUT: inputs}), len(inputs))
         disturbances, known = _known_disturbances(moves, inputs)
-        sizes = Sizes(_sizes([one.u for one in moves]), _sizes([one.y for one in moves]))
+        sizes = Sizes.of(moves)
         return cls(
             groups=_groups(moves, known, sizes),
             inputs=inputs,

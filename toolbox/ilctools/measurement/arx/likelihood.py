@@ -46,7 +46,7 @@ def negative_log_posterior(eta: np.ndarray, data: Data) -> tuple[float, np.ndarr
 
 
 def _gradient(eta, data, at, away):
-    """Of (4).
+    """The gradient of (4).
 
     With z = D^(-1/2) x and n' = n + 2 sum (eta - centre) / width^2 over all entries that are
     relative to the output, as they move with log r,
@@ -70,7 +70,7 @@ def _gradient(eta, data, at, away):
 
 
 def _by_rho(data, at, z, inverse, n):
-    """Of (4) over rho. With X_1 and y_1 of means over trials, and their weight w,
+    """The slope of (4) over rho. With X_1 and y_1 of means over trials, and their weight w,
 
     d / d w = (n' |y_1 - X_1 x|^2 / r + tr((U' U)^-1 D^(1/2) X_1' X_1 D^(1/2)) - n_1 / w) / 2,
     d w / d rho = -w (1 - w).                                                              (4b)

@@ -48,7 +48,7 @@ class Hyperparameters(NamedTuple):
 
     @property
     def weight(self) -> float:
-        """Of means over trials."""
+        """The weight of means over trials."""
         return expit(-self.rho)
 
 

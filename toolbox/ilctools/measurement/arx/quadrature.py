@@ -27,7 +27,7 @@ def points_about(eta: np.ndarray, S: np.ndarray) -> np.ndarray:
 
 
 def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
-    """Of x, over the points, (unknown, unknown)."""
+    """The covariance of x, over the points, (unknown, unknown)."""
     mean, points, C = posterior(eta, data).mean, points_about(eta, S), 0.0
     for there in (posterior(point, data) for point in points):
         own = there.r / data.n * there.inverse() * np.outer(there.root_D, there.root_D)

@@ -75,7 +75,7 @@ class Regression:
         return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
 
     def covariance(self, omega: np.ndarray) -> ErrorOfP:
-        """Of (6), at angles omega Ts."""
+        """The covariance of (6) at angles omega Ts, (n,)."""
         layout, P, A = self.data.layout, self.response(omega), self._A(omega)[:, None]
         of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
         of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
@@ -115,10 +115,11 @@ class Regression:
 
 
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
-    """Of one output; `direct`: whether y(t) may depend on u(t); what is known of P beforehand.
+    """Estimate P to one output.
 
-    `delays`, (m,): of the commanded inputs, at least; if correlations show more, also with that,
-    from what is estimated without. `gain`, (m,): P at rest.
+    `direct`: whether y(t) may depend on the commanded inputs at t, or when their delay is over.
+    `delays`, (m,): the least delays of the commanded inputs, samples; more are tried where
+    correlations show them. `gain`, (m,): P at rest, if it is known.
     """
     channels = Channels.of(groups)
     least = np.zeros(channels.all, int)  # of a known disturbance nothing is known beforehand

@@ -93,14 +93,17 @@ class Products(NamedTuple):
     samples_of_means: int  # n_1, which are among them
 
     def weighted(self, weight: float) -> np.ndarray:
-        """Of all, with a weight of the means."""
+        """The products of all series, with a weight for the means."""
         return self.single + weight * self.means
 
 
 def products(
     groups: Sequence[Trials], layout: Layout, beside: Callable[[Series], np.ndarray] | None = None
 ) -> Products:
-    """Of [X, y] and, behind them, more rows (row, time) of each series: `beside`."""
+    """The products of [X, y], and of more rows behind them.
+
+    `beside` returns these rows of a series, (row, time).
+    """
     single, means, samples, samples_of_means = 0.0, 0.0, 0, 0
     for series in series_of(groups):
         Z = regressors(series, layout)
@@ -137,7 +140,11 @@ class Data(NamedTuple):
 
 
 def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=None) -> Data:
-    """Of trials, for some delays; `gain`, (m,): P at rest, where it is known."""
+    """What trials say for some delays.
+
+    `direct`: see `layout_of`; `delays`: of all inputs, (m + d,); `gain`: P at rest, (m,), if it is
+    known.
+    """
     layout = layout_of(groups, direct, delays)
     found = products(groups, layout)
     for j, known in enumerate(() if gain is None else gain):
@@ -146,7 +153,7 @@ def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=Non
 
 
 def _at_rest(layout, j, known):
-    """Of one more row of [X, y], nearly without an error: B_j(1) = known A(1)."""
+    """The products of one more row of [X, y], nearly without an error: B_j(1) = known A(1)."""
     row, rest = np.zeros(layout.size + 1), np.zeros(1)
     row[layout.where(Kind.A)] = -known * layout.waves_of_A(rest)[0].real
     row[layout.where_B(j)] = layout.waves_of_B(j, rest)[0].real

@@ -79,7 +79,7 @@ class Series(NamedTuple):
 
 
 def keys_of(groups: Sequence[Trials]) -> list[SeriesKey]:
-    """Of all series: each group has as many as trials."""
+    """The keys of all series: each group has as many as trials."""
     return [SeriesKey(i, k) for i, group in enumerate(groups) for k in range(len(group.y))]
 
 

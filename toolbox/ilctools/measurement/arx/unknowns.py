@@ -24,7 +24,8 @@ from scipy.special import diric
 
 from ilctools.measurement.arx.trials import Channels, Trials, keys_of, longest_of
 
-# Of the longest trial: lags of A and B. More cost time, fewer cut off slow plants.
+# The longest trial has so many times the lags of A and B. More lags cost time, fewer cut off slow
+# plants.
 SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
 TIME_CONSTANTS = np.array([1.0, 3.0])  # of slow parts, in 1 / (the longest trial)
