@@ -40,7 +40,7 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks; how much there is t
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 	$(BIN)/python -m rodlib.paper.rig_logs
 
-machines: $(BIN)/ready  ## make test with rounding varied, as on other processors: make machines SEED=2
+machines: $(BIN)/ready  ## make test with the kernels of another processor: make machines SEED=2
 	$(BIN)/python tools/machines.py $(SEED)
 
 mutants: $(BIN)/ready  ## change one thing at a time in rodlib, then in ilctools; list what no test notices (long)
@@ -63,7 +63,9 @@ newest: $(BIN)/ready  ## unit tests with the newest packages that pyproject.toml
 	build/newest/bin/pytest -q
 
 measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=survey; alone, it lists what there is
-	@test -n "$(WHAT)" || { grep -l __main__ benchmarks/*.py | xargs grep -m 1 '^"""' \
+	@grep -qs __main__ "benchmarks/$(WHAT).py" || { \
+		test -z "$(WHAT)" || echo "WHAT=$(WHAT) is not there; these are:" >&2; \
+		grep -l __main__ benchmarks/*.py | xargs grep -m 1 '^"""' \
 		| sed 's|benchmarks/\(.*\).py:"""|make measure WHAT=\1\t|' | expand -t 40; exit 2; }
 	@PYTHONPATH=toolbox/tests $(BIN)/python benchmarks/$(WHAT).py
 
@@ -73,7 +75,7 @@ pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in 
 	@echo "open build/pages/index.html"
 
 bench: $(BIN)/ready  ## time the synthesis against CVXPY; rewrite its table in figures/performance.md
-	@$(BIN)/python benchmarks/bench_synthesis.py
+	@PYTHONPATH=toolbox/tests $(BIN)/python benchmarks/bench_synthesis.py
 
 # Jupyter refuses to run as root, except in a container, where root is whoever started it.
 lab: LAB := $(if $(wildcard /.dockerenv /run/.containerenv),--allow-root)

@@ -9,7 +9,7 @@ class Shown(str):
     __hash__ = str.__hash__
 
     def __eq__(self, other):
-        from rodlib.paper.comparison import same_text  # not before rounding is varied
+        from rodlib.paper.comparison import same_text
 
         return same_text(self, other)
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 from kinds import KINDS, bump
-from plants_of_peers import PLANTS, double_mass, their_reference
+from plants_of_peers import PLANTS, their_reference
 from runner import publish, run, table
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import solve
@@ -54,13 +54,12 @@ class Case:
     plants: list
     reference: np.ndarray
     cutoff: float
-    noise_size: float = NOISE
 
     @cached_property
     def noise(self):
         """Of all trials, the same for every law."""
         shape = (TRIALS, *self.reference.shape)
-        sizes = self.noise_size * np.abs(self.reference).max(axis=0)
+        sizes = NOISE * np.abs(self.reference).max(axis=0)
         return sizes * np.random.default_rng(7).standard_normal(shape)
 
     @cached_property
@@ -221,7 +220,7 @@ def tuned(design, box, channels, cost):
 
 
 def row(name):
-    """The designs of a plant, each with its RMS on all plants; None where there is none."""
+    """The designs of a plant, each with its RMS on all plants."""
     case = case_of(name)
     with warnings.catch_warnings(action="ignore"):
         Q = zero_phase_butterworth(2, case.cutoff, case.plants[0].dt)
@@ -233,12 +232,7 @@ def row(name):
         key: np.array([later(case.errors(Q, L, number)) for number in range(1 + len(OFF))])
         for key, L in laws.items()
     }
-    fifth = None
-    if name == "double_mass":
-        theirs = Case(None, [double_mass(0.5)[0]], case.reference, case.cutoff, noise_size=0.0)
-        size = np.sqrt(len(case.reference))  # from an RMS to a 2-norm
-        fifth = {key: size * theirs.errors(Q, L)[[0, 4]] for key, L in laws.items()}
-    return name, base_of(ours.problem), left, fifth
+    return name, base_of(ours.problem), left
 
 
 def base_of(problem):
@@ -255,7 +249,7 @@ def ratios(results):
 
 def losses(rows):
     """How many plants are within the goal, and by name those which are not."""
-    of = pd.DataFrame({name: ratios(results) for name, _, results, _ in rows})
+    of = pd.DataFrame({name: ratios(results) for name, _, results in rows})
     for (_, each), what in zip(of.iterrows(), ("nominal plant", "worst of those off"), strict=True):
         beyond = each[each > BEST]
         named = ", ".join(f"{name} ({ratio:.2g})" for name, ratio in beyond.items()) or "none"
@@ -266,22 +260,16 @@ def losses(rows):
 
 
 def table_of(rows):
-    """The rows as a table in Markdown, what is lost, and the double mass of others."""
+    """The rows as a table in Markdown, and what is lost."""
     lines, laws = [], ["ours", "PD", "least squares", "inversion", "norm-optimal"]
-    for name, base, results, _ in rows:
+    for name, base, results in rows:
         cells = dict.fromkeys(laws, "none") | {
             law: f"{each[0]:.2g}, {each[1:3].max():.2g}, {each[3:].max():.2g}"
             for law, each in results.items()
         }
         lines.append([name, base, *cells.values(), *(f"{ratio:.2f}" for ratio in ratios(results))])
-    fifth = next(each for *_, each in rows if each)
-    theirs = ", ".join(f"{law} {last:.3f}" for law, (_, last) in fifth.items())
-    said = (
-        f"Double mass, load of 1.5, 2-norm of the error from {fifth['ours'][0]:.2f} in trial 1 to "
-        f"that in trial 5: {theirs}; its authors' two laws 0.636 and 0.562."
-    )
     titles = ["plant", "base", *laws, "ratio", "ratio, off"]
-    return "\n\n".join([table(titles, lines), *losses(rows), said])
+    return "\n\n".join([table(titles, lines), *losses(rows)])
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 
 from tqdm import tqdm
 
@@ -14,13 +15,14 @@ from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 
 
-def run(function, cases):
+def run(function, cases, executor=None):
     """Results of a function for many cases, in their order, while others are computed.
 
-    A case is the argument, or a tuple of all.
+    A case is the argument, or a tuple of all arguments. `executor` is any of concurrent.futures;
+    default: a process for each core.
     """
     cases = [case if isinstance(case, tuple) else (case,) for case in cases]
-    with ProcessPoolExecutor() as pool:
+    with ProcessPoolExecutor() if executor is None else nullcontext(executor) as pool:
         yield from tqdm(pool.map(function, *zip(*cases, strict=True)), total=len(cases))
 
 

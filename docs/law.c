@@ -1,8 +1,10 @@
 /* The next trial's signal in C99, for a target without Python: v_{k+1} = Q (v_k + L e_k), (23).
 
    It reads a file of ilctools.save_law and, from the standard input, a line for each sample of the
-   trial with v and e of all channels; it prints the next v, a line for each sample. Of a trial that
-   breaks off it prints nothing; how many samples a whole one has, its caller may say.
+   trial with v and e of all channels; it prints the next v, a line for each sample. If a trial
+   breaks off, or if v, e, a number of the file or the next v is not finite, it prints nothing, says
+   why on the standard error and exits with 1. How many samples a whole trial has, its caller may
+   say.
 
        cc -std=c99 -O2 -ffp-contract=off law.c -lm -o law  &&  ./law law.json 2500 < trial > next
 
@@ -17,9 +19,9 @@
 #define REFUSE(...) (fprintf(stderr, "law: " __VA_ARGS__), fputc('\n', stderr), exit(1))
 #define DAMAGED(what) REFUSE("byte %d of the law: %s", (int)(at - text), what)
 enum { MOST = 1 << 20, SAMPLES = 1 << 17, LETTERS = 32, FAR = 1000000 };
-enum { FORMAT, NOTE, ENDS, Q, L, BASE, SOS, K, TS, CUT, GAIN, ORDER, REST, FIRST, KEYS };
-static const char *const NAMES[KEYS] = {"format", "note", "ends", "Q", "L", "base", "sections",
-    "coefficients", "Ts", "cutoff", "step", "order", "rest", "first"};
+enum { FORMAT, NOTE, ENDS, Q, L, BASE, LIMITS, SOS, K, TS, CUT, GAIN, ORDER, REST, FIRST, KEYS };
+static const char *const NAMES[KEYS] = {"format", "note", "ends", "Q", "L", "base", "actuators",
+    "sections", "coefficients", "Ts", "cutoff", "step", "order", "rest", "first"};
 static const double PI = 3.14159265358979323846, ROUNDING = 4e-15;
 static double scalar[KEYS] = {[GAIN] = 1, [FIRST] = 1}, sos[300], taps[MOST];
 static double made[SAMPLES], v[SAMPLES], e[SAMPLES], once[2 * SAMPLES];
@@ -84,7 +86,6 @@ static int object(int all, int others)
     need('{');
     do {
         for (string(), key = 0; key < KEYS && strcmp(word, NAMES[key]); key++);
-        if (!strcmp(word, "actuators")) DAMAGED("there must be no limits");
         if (!((all | others) & ~seen & 1 << key)) DAMAGED("a key is unknown here, or stands twice");
         seen |= 1 << key;
         need(':');
@@ -100,6 +101,7 @@ static int object(int all, int others)
         if (key == BASE && strncmp(at += strspn(at, " \t\r\n"), "null", 4))
             DAMAGED("the base is a model; synthesise with reach");
         if (key == BASE) at += 4;
+        if (key == LIMITS && !(next('{') && next('}'))) DAMAGED("there must be no limits");
         if (key >= TS) scalar[key] = number(key >= ORDER);
         if (key < ORDER ? key >= TS && scalar[key] <= 0 : fabs(scalar[key]) > FAR)
             DAMAGED("a number is out of its range");
@@ -151,7 +153,8 @@ int main(int argc, char **argv)
     FILE *file = argc == 2 || argc == 3 ? fopen(argv[1], "rb") : NULL;
     size_t length = file ? fread(text, 1, sizeof text - 1, file) : 0;
     if (!length || getc(file) != EOF) REFUSE("name a file of save_law, of less than 16 MB");
-    object(1 << FORMAT | 1 << TS | 1 << Q | 1 << L | 1 << NOTE | 1 << SOS, 1 << REST | 1 << GAIN);
+    object(1 << FORMAT | 1 << TS | 1 << Q | 1 << L | 1 << NOTE | 1 << SOS,
+        1 << REST | 1 << GAIN | 1 << LIMITS);
     if (!next(0) || at != text + length + 1) DAMAGED("something follows the closing brace");
     int m = sizes[K][0], n = 0, rest = (int)scalar[REST], both = 1 << FIRST | 1 << BASE;
     double gain = scalar[GAIN], reach = decay();
@@ -193,6 +196,10 @@ int main(int argc, char **argv)
         for (int p = 0; p < n; p++)
             v[p * m + i] = p < n - rest ? (1 - gain) * v[p * m + i] + gain * once[p] : 0;
     }
+    for (int p = 0; p < n * m; p++)  /* all of it before a part is printed: it moves actuators */
+        if (!isfinite(v[p]))
+            REFUSE("the next v is not finite in line %d: v or e is too large", p / m + 1);
     for (int p = 0; p < n * m; p++) printf("%.17g%c", v[p], p % m == m - 1 ? '\n' : ' ');
-    return fflush(stdout) || ferror(stdout);
+    if (fflush(stdout) || ferror(stdout)) REFUSE("the next v was not written as a whole");
+    return 0;
 }

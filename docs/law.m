@@ -11,22 +11,28 @@ function v = law(path, v, e)
 saved = jsondecode(fileread(path));
 is_known = isfield(saved, "format") && any(strcmp(saved.format, {"rodlib law 1", "rodlib law 2"}));
 refuse(~is_known, "%s is no file of save_law, or a newer one", path);
-refuse(isfield(saved, "actuators"), "there must be no limits, but the law has some");
+is_limited = isfield(saved, "actuators") && ~isempty(fieldnames(saved.actuators));
+refuse(is_limited, "there must be no limits, but the law has some");
 is_finite = ~isfield(saved.L, "base") || isempty(saved.L.base);
 refuse(~is_finite, "the base is a model; synthesise with reach");
 refuse(~all(strcmp({saved.Q.ends, saved.L.ends}, "zero")), "`ends` must be zero");
 taps = saved.L.coefficients;  % (m, m, order)
 m = size(taps, 1);
+refuse(~isnumeric(taps) || size(taps, 2) ~= m, "coefficients are not for as many v as e");
+rest = value_of(saved, "rest", 0);
+gain = value_of(saved, "step", 1);
+numbers = {taps, saved.sections, rest, gain};
+are_finite = cellfun(@(x) isnumeric(x) && all(isfinite(x(:))), numbers);
+refuse(~all(are_finite), "%s holds numbers that are not finite", path);
 [n, columns] = size(v);
 refuse(columns ~= m || ~isequal(size(e), [n, m]), "v and e must have %d columns each", m);
 refuse(~all(isfinite([v(:); e(:)])), "v and e must be finite numbers");
-rest = value_of(saved, "rest", 0);
 refuse(n <= rest, "the trial has %d samples, the rest %d", n, rest);
 
 made = v + look(taps, value_of(saved.L, "first", 1), e);  % v + L e
-gain = value_of(saved, "step", 1);
 v = (1 - gain) * v + gain * both_ways(saved.sections, made);
 v(n - rest + 1 : n, :) = 0;
+refuse(~all(isfinite(v(:))), "the next v is not finite: v or e is too large");
 end
 
 function out = look(taps, first, in)

@@ -4,6 +4,8 @@ Section IV. The reference trajectories and disturbances are published only as a 
 :func:`assumed_reference` and :func:`assumed_disturbance` stand in for them.
 """
 
+from collections.abc import Sequence
+
 import control
 import numpy as np
 
@@ -89,13 +91,30 @@ def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTri
     return current_trial_loop(plant, controls=["Q1", "Q3"], units=units)
 
 
-def assumed_reference(samples: int = 2500) -> np.ndarray:
+def assumed_reference(
+    samples: int = 2500,
+    steepness: float = 1.0,
+    plateaus: Sequence[Sequence[float]] = ((10.0, 6.0), (8.0, 10.0)),
+) -> np.ndarray:
     """Assumed reference trajectory, for the one that the paper shows as a plot only (Fig. 7).
 
-    Both outputs start and end at the initial ambient temperature and move between levels of up
-    to 10 K along quintic steps, whose first and second derivatives are continuous. The shape is
-    stretched to the length of the trial. In K above the initial ambient temperature, shape
-    (samples, 2).
+    Both outputs start and end at the initial ambient temperature. In between they stay at two
+    plateaus. They move along quintic steps, whose first and second derivatives are continuous.
+
+    Parameters
+    ----------
+    samples : int, default 2500
+        Length of the trial. The shape is stretched to it.
+    steepness : float, default 1.0
+        How steep the moves are, relative to the default; at least 0.7. The plateaus and the middle
+        of each move stay, but no move begins before the trial.
+    plateaus : array_like, shape (2, 2), default ((10, 6), (8, 10))
+        The two plateaus of each output, in K above the initial ambient temperature.
+
+    Returns
+    -------
+    ndarray, shape (samples, 2)
+        In K above the initial ambient temperature.
 
     See Also
     --------
@@ -107,23 +126,55 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
     >>> from rodlib import assumed_reference
     >>> assumed_reference().max(axis=0).round(2)
     array([10., 10.])
+    >>> assumed_reference(plateaus=[(12, 6), (8, 4)]).max(axis=0).round(2)
+    array([12.,  8.])
     """
     samples = arguments.whole("samples", samples, 1)
+    what = "0.7 or more, since slower moves do not end within the trial"
+    steepness = arguments.number("steepness", steepness, what, least=0.7)
+    (first_1, second_1), (first_2, second_2) = arguments.array("plateaus", plateaus, (2, 2))
     time = np.arange(samples) / samples * 2500
 
     def step(start, stop):
-        s = np.clip((time - start) / (stop - start), 0, 1)
+        duration = (stop - start) / steepness
+        begins = max((start + stop - duration) / 2, 0)
+        s = np.clip((time - begins) / duration, 0, 1)
         return s**3 * (10 - 15 * s + 6 * s**2)
 
-    first = 10 * step(100, 700) - 4 * step(1000, 1400) - 6 * step(1700, 2300)
-    second = 8 * step(200, 900) + 2 * step(1200, 1500) - 10 * step(1700, 2350)
+    up, across, down = step(100, 700), step(1000, 1400), step(1700, 2300)
+    first = first_1 * up + (second_1 - first_1) * across - second_1 * down
+    up, across, down = step(200, 900), step(1200, 1500), step(1700, 2350)
+    second = first_2 * up + (second_2 - first_2) * across - second_2 * down
     return np.stack([first, second], axis=1)
 
 
-def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -> np.ndarray:
-    """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
+def assumed_disturbance(
+    samples: int = 2500,
+    trials: int = 10,
+    first: int = 5,
+    flows: Sequence[float] = (5.0, -4.0),
+    duration: float = 0.5,
+) -> np.ndarray:
+    """Assumed disturbances of Fig. 7: a pulse of the heat flows Q2 and Q4, from a trial on.
 
-    Ambient temperature (K, zero) and heat flows Q2 and Q4 (W), shape (trials, samples, 3).
+    Parameters
+    ----------
+    samples : int, default 2500
+        Length of a trial.
+    trials : int, default 10
+        Number of trials.
+    first : int, default 5
+        First trial with the disturbance, counted from 1. The later ones have the same.
+    flows : array_like, shape (2,), default (5, -4)
+        Peaks of Q2 and Q4, in W.
+    duration : float, default 0.5
+        Length of a pulse, as a share of the trial; at most 0.7. Q2 begins at 0.2 of the trial, Q4
+        at 0.3.
+
+    Returns
+    -------
+    ndarray, shape (trials, samples, 3)
+        Ambient temperature (K, zero) and heat flows Q2 and Q4 (W).
 
     See Also
     --------
@@ -139,9 +190,11 @@ def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -
     samples = arguments.whole("samples", samples, 1)
     trials = arguments.whole("trials", trials, 1)
     first = arguments.whole("first", first, 1)
+    flows = arguments.array("flows", flows, (2,))
+    what = "above 0 and at most 0.7 of the trial, since a longer pulse does not end within it"
+    duration = arguments.number("duration", duration, what, low=0, most=0.7)
     phase = np.arange(samples) / samples
-    pulse = np.clip(np.stack([phase - 0.2, phase - 0.3], axis=1) / 0.5, 0, 1)
-    flows = np.array([5.0, -4.0]) * np.sin(np.pi * pulse) ** 2
+    pulse = np.clip(np.stack([phase - 0.2, phase - 0.3], axis=1) / duration, 0, 1)
     disturbance = np.zeros((trials, samples, 3))
-    disturbance[first - 1 :, :, 1:] = flows
+    disturbance[first - 1 :, :, 1:] = flows * np.sin(np.pi * pulse) ** 2
     return disturbance

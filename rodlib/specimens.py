@@ -5,7 +5,9 @@ controller stays as it was designed on the nominal model.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import control
 import numpy as np
@@ -17,6 +19,7 @@ from rodlib.held import sampled_response
 from rodlib.rod import Rod, labelled, midr
 
 PAPER = Rod()
+BATCH = 100  # specimens that a worker takes at a time: some 0.1 s, long against handing them over
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
 
 
@@ -113,7 +116,7 @@ class Spread:
 
 
 def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Specimen:
-    """Draw a rod by number.
+    """Draw a rod by number, the same one wherever and in whatever order it is drawn.
 
     Parameters
     ----------
@@ -143,8 +146,9 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Sp
     return spread.specimen(deviations, nominal)
 
 
-@on_one_thread
-def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> np.ndarray:
+def responses(
+    loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega, executor: Executor | None = None
+) -> np.ndarray:
     """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
 
     :meth:`CurrentTrialLoop.frequency_response` with the :func:`rodlib.sampled_response` of each
@@ -157,6 +161,10 @@ def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> n
     specimens : list of Specimen
     omega : array_like, shape (n,)
         Angular frequencies, rad/s, from 0 to the Nyquist frequency.
+    executor : concurrent.futures.Executor, optional
+        Where to compute: a pool of processes, or the one of an engine for clusters. The specimens
+        are handed over in batches of 100. The result does not depend on the number of workers.
+        Default: here.
 
     Returns
     -------
@@ -184,7 +192,17 @@ def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> n
     if not {*loop.controls} <= {*inputs}:
         raise ValueError(f"loop has the controls {loop.controls}, the rod the inputs {inputs}")
     omega = arguments.row("omega", omega)
-    columns = [inputs.index(name) for name in loop.controls]
+    if executor is not None:
+        arguments.instance("executor", executor, Executor)
+    batches = [specimens[k : k + BATCH] for k in range(0, len(specimens), BATCH)]
+    mapped = map if executor is None else executor.map
+    return np.concatenate([*mapped(partial(_responses, loop, omega), batches)])
+
+
+@on_one_thread
+def _responses(loop, omega, specimens):
+    """P around each specimen of a batch."""
+    columns = [specimens[0].rod.inputs.index(name) for name in loop.controls]
     plants = [
         sampled_response(specimen.rod, omega, loop.Ts)[:, :, columns]
         * np.array(specimen.gains)[columns]

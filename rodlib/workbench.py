@@ -108,7 +108,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
     # Here, because these come with the extra "notebooks".
     from IPython.core.pylabtools import print_figure
     from IPython.display import Image, display
-    from ipywidgets import Dropdown, FloatSlider, IntSlider, interactive
+    from ipywidgets import interactive
 
     def show(**knobs):
         try:
@@ -123,21 +123,28 @@ def open_workbench(loop, reference, disturbance=None, **choices):
     start = {"M_max": 0.9, "cutoff": 0.1 / loop.Ts, "order": 10, "noise": 0.0} | choices
     Q = zero_phase_butterworth(2, start["cutoff"], loop.Ts)
     start = {"L_max": pose(response_of(loop, Q=Q), Q).L_max, "structure": "diagonal"} | start
-    gain, cutoff, noise = start["L_max"], start["cutoff"], np.abs(reference).max() / 10
+    return interactive(show, **_knobs(start, most_noise=np.abs(reference).max() / 10))
+
+
+def _knobs(start, most_noise):
+    """A slider for each choice, at the value to begin with; it acts when it is let go."""
+    from ipywidgets import Dropdown, FloatSlider, IntSlider
+
+    gain, cutoff = start["L_max"], start["cutoff"]
     real = partial(FloatSlider, readout_format=".3g")
     ranges = {  # kind of slider; least, most, step
         "M_max": (real, 0.05, 0.999, 0.001),
         "L_max": (real, gain / 50, 4 * gain, gain / 50),
         "cutoff": (real, cutoff / 50, 4 * cutoff, cutoff / 50),
         "order": (IntSlider, 1, 2 * start["order"], 1),
-        "noise": (real, 0, noise, noise / 100),
+        "noise": (real, 0, most_noise, most_noise / 100),
     }
-    knobs = {
+    sliders = {
         name: kind(value=start[name], min=least, max=most, step=step, continuous_update=False)
         for name, (kind, least, most, step) in ranges.items()
-    }  # they act when they are let go
-    knobs["structure"] = Dropdown(options=["diagonal", "full"], value=start["structure"])
-    return interactive(show, **knobs)
+    }
+    structure = Dropdown(options=["diagonal", "full"], value=start["structure"])
+    return sliders | {"structure": structure}
 
 
 @style.context(["rodlib.paper.style", LOOK])

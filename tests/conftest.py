@@ -3,23 +3,7 @@
 import os
 
 import pytest
-import rounding
 from repeatable import Q, omega  # noqa: F401
-
-from rodlib.paper.repository import ROOT
-
-
-def pytest_addoption(parser):
-    parser.addoption("--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed")
-
-
-def pytest_configure(config):
-    seed = config.getoption("rounding")
-    if seed is not None:
-        before = os.environ.get("PYTHONPATH", "")
-        folder = ROOT / "build" / f"rounding-{seed}"
-        os.environ["PYTHONPATH"] = rounding.search_path(folder, seed, before)
-        rounding.vary(seed)
 
 
 @pytest.fixture

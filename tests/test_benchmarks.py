@@ -6,14 +6,12 @@ from importlib import import_module
 from types import SimpleNamespace
 
 import bench_synthesis
-import constants
 import numpy as np
 import peers
 import pytest
 import regions
 import runner
 import survey
-import watch
 import whole_way
 
 from ilctools import ClosedLoop, Law, LearningFilter, rms, run_trials, zero_phase_butterworth
@@ -27,7 +25,6 @@ def page(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "ROOT", tmp_path)
     one_process = nullcontext(SimpleNamespace(map=map))
     monkeypatch.setattr(runner, "ProcessPoolExecutor", lambda: one_process)
-    monkeypatch.setattr(watch, "LOOPS", {"furnace": watch.LOOPS["furnace"]})
 
     def written(section, function, *arguments):
         path.write_text(f"one\n<!-- {section} -->\nold\n<!-- end of {section} -->\ntwo\n")
@@ -55,12 +52,6 @@ def page(tmp_path, monkeypatch):
             r"\| motor \| 1 \| 1 \| 0.01 \| 0\.00\d+ \| 0\.12\d* \| 3\.36 \| 0\.0\d+ \| 0\.05"
             r" \|  \| learned \|.*\| none \|.*3 ways: 2 learned, 1 said so",
         ),
-        (
-            "watch",
-            [2, 1, ["P has 2 times the gain"]],
-            r"\| furnace \| none \| 2 \| \d+ \| 0 \| 0\.00 \|"
-            r".*gain \| not the model \| 1 \| 1 \| 3 \| 3 \|",
-        ),
     ],
 )
 def test_a_few_cases_run_and_are_counted(name, few, said, page):
@@ -76,20 +67,11 @@ def test_regions_are_counted(monkeypatch):
     assert row[2:8] == [""] * 6 and row[8:10] == ["2", "2"]
 
 
-def test_a_constant_is_changed_and_put_back(monkeypatch):
-    """JOINT is a factor of the radius."""
-    monkeypatch.setattr(constants, "RECORDS", 1)
-    monkeypatch.setattr(constants, "CHOSEN", ("steps",))
-    ((wide, less),), ((radius, off),) = (constants.changed("JOINT", factor) for factor in (2, 1))
-    np.testing.assert_allclose([wide, less], [2 * radius, off / 2])
-
-
-def test_what_fails_learns_nothing_in_silence_or_says_too_much_is_counted(monkeypatch):
+def test_what_fails_or_learns_nothing_in_silence_is_counted(monkeypatch):
     late = {"rms": np.array([1.0, 0.01, 0.3]), "noise": 0.01, "said": []}
     assert whole_way.end_of(late) == "silent"
     monkeypatch.setattr(survey, "synthesise", lambda *arguments, **options: 1 / 0)
     assert survey.outcome(4)["end"].startswith("ZeroDivisionError")
-    assert watch.quiet_row("furnace", [(10, {"model": 3})])[4:] == ["1", "100.00"]
 
 
 def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatch):

@@ -5,6 +5,7 @@ import platform
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import control
 import numpy as np
@@ -32,6 +33,7 @@ LAWS = {
         LearningFilter(RNG.standard_normal((1, 1, 303)), 1.0, first=-151),
     ),
     "order five": Law(zero_phase_butterworth(5, 0.5, 1.0), EXACT, rest=1),
+    "no limits on any rig": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, limits={}),
 }
 
 
@@ -122,23 +124,82 @@ def test_what_they_do_not_know_they_refuse(sanitized, law, tmp_path):
     assert by_octave(law, v, v, tmp_path).startswith("error: law: ")
 
 
+def run_of(program, law, trial, folder, *samples):
+    """What law.c does with a law, or the text of its file, and the text of a trial."""
+    path = folder / "law.json"
+    path.write_text(law) if isinstance(law, str) else save_law(path, law)
+    return subprocess.run([program, path, *samples], input=trial, capture_output=True, text=True)
+
+
 @pytest.mark.parametrize(
     ("trial", "message"),
     [
         ("1 2\n3 4\n5", "line 3 is no 2 numbers"),
         ("1 2\n3 4x\n5 6\n", "line 2 is no 2 numbers"),
         ("1 2\nnan 4\n", "line 2 is no 2 numbers"),
+        ("1 2\n1e999 4\n", "line 2 is no 2 numbers"),
+        ("1 2\n3 4\n5 6\n", "the trial has 3 samples"),
         ("1 2\n3 4", "line 2 is no 2 numbers, torn"),
-        ("", "the trial has 0 samples"),
         ("1 2\n" * (1 << 17) + "1 2\n", "beyond what fits"),
     ],
 )
 def test_a_broken_trial_is_refused(program, tmp_path, trial, message):
     """With an exit code, and without a v that a target might apply."""
-    save_law(tmp_path / "law.json", LAWS["one channel, slower"])
-    call = [program, tmp_path / "law.json", "2"]
-    run = subprocess.run(call, input=trial, capture_output=True, text=True)
+    run = run_of(program, LAWS["one channel, slower"], trial, tmp_path, "2")
     assert run.returncode == 1 and message in run.stderr and not run.stdout
+
+
+LARGEST = np.finfo(float).max
+OVERFLOWS = {  # the law, v and e: in the sums of L, in v + L e, in Q, which overshoots
+    "L": ("the paper's", 0.0, 1e307),
+    "v + L e": ("one channel, slower", 0.9 * LARGEST, 0.9 * LARGEST),
+    "Q": ("order five", 0.999 * LARGEST, 0.0),
+}
+
+
+@pytest.fixture(params=OVERFLOWS)
+def overflowing(request):
+    """A law, and v and e that move at once from zero to a value."""
+    name, *values = OVERFLOWS[request.param]
+    moving = np.repeat([0.0, 1.0], 100)[:, None] * np.ones(LAWS[name].channels)
+    return LAWS[name], *(value * moving for value in values)
+
+
+def test_a_v_that_overflows_is_refused(program, tmp_path, overflowing):
+    """It goes to actuators: an exit code, one sentence, and nothing that looks like a signal."""
+    law, v, e = overflowing
+    with pytest.raises(ValueError, match="v or e is too large"):
+        law.next(v, e)
+    lines = (" ".join(map(repr, row)) for row in np.hstack([v, e]).tolist())
+    run = run_of(program, law, "\n".join(lines) + "\n", tmp_path)
+    assert run.returncode == 1 and not run.stdout
+    assert re.fullmatch(r"law: the next v is not finite in line \d+: .*\n", run.stderr)
+    assert law.next(1e-9 * v, 1e-9 * e).any()  # what is large and does not overflow is learned
+
+
+def test_octave_refuses_a_v_that_overflows(tmp_path, overflowing):
+    assert "law: the next v is not finite" in by_octave(*overflowing, tmp_path)
+
+
+@pytest.mark.parametrize("number", ["NaN", "1e999", "null"])
+@pytest.mark.parametrize("key", ["coefficients", "sections", "step"])
+def test_a_number_of_the_file_that_is_not_finite_is_refused(program, tmp_path, key, number):
+    path = tmp_path / "law.json"
+    save_law(path, LAWS["one channel, slower"])
+    text, count = re.subn(rf'("{key}": [\[\s]*)[^\[\],\s]+', rf"\g<1>{number}", path.read_text())
+    run = run_of(program, text, "1 2\n" * 9, tmp_path)
+    assert count == 1 and run.returncode == 1 and not run.stdout and run.stderr.count("\n") == 1
+    if key != "sections":  # which Python does not read
+        with pytest.raises(ValueError, match="is not a law of save_law"):
+            load_law(path)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_a_v_that_could_not_be_written_is_no_success(program, tmp_path):
+    save_law(tmp_path / "law.json", LAWS["one channel, slower"])
+    call = ["sh", "-c", '"$0" "$1" > /dev/full', program, tmp_path / "law.json"]
+    run = subprocess.run(call, input="1 2\n" * 9, stderr=subprocess.PIPE, text=True)
+    assert run.returncode == 1 and run.stderr == "law: the next v was not written as a whole\n"
 
 
 @pytest.mark.parametrize("name", LAWS)

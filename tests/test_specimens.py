@@ -1,3 +1,6 @@
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
 import control
 import numpy as np
 import pytest
@@ -50,3 +53,20 @@ def test_a_model_is_the_sampled_rod_with_its_gains(number):
     expected = sampled_response(specimen.rod, omega, 2.0) * [*specimen.gains, 1]
     found = frequency_response(specimen.model(2.0), omega)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+def test_draws_do_not_depend_on_the_number_of_workers():
+    """More specimens than a batch, here and in two processes."""
+    loop, omega, spread = paper_loop(), np.array([0.001, 0.02, 0.3]), Spread.of_all(0.2)
+    specimens = [draw(spread, number) for number in range(130)]
+    here = responses(loop, specimens, omega)
+    apart = multiprocessing.get_context("forkserver")
+    with ProcessPoolExecutor(2, mp_context=apart) as pool:
+        there = responses(loop, specimens, omega, executor=pool)
+        drawn = [*pool.map(draw, [spread] * 130, range(130))]
+    np.testing.assert_array_equal(there, here)
+    assert drawn == specimens
+    one_by_one = [responses(loop, [specimen], omega)[0] for specimen in specimens[95:105]]
+    np.testing.assert_allclose(here[95:105], one_by_one, rtol=1e-12, atol=1e-14)  # rounding
+    with pytest.raises(ValueError, match="executor"):
+        responses(loop, specimens, omega, executor=ThreadPoolExecutor)

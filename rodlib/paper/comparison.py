@@ -5,6 +5,9 @@ does not. So a printed number may differ by one unit of its last digit, whether 
 0.8833 or 0.8834, and a whole number above a thousand, which counts steps or samples, by a
 thousandth. In a picture an edge may move by a part of a pixel: each pixel must lie between the
 darkest and the lightest of the nine around its place in the other picture, and the other way round.
+
+The PDF of a figure has the same content as its PNG, drawn at the same time, but other bytes on
+another machine. It counts as the same if it is whole and has one page as large as the picture.
 """
 
 import re
@@ -18,6 +21,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 NUMBER = re.compile(r"((?<![\w.])[-+−]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:[eE][-+]?\d+)?)")
 LARGE = 1000  # from here on a whole number may be off by a thousandth
 PIXELS_PER_INCH = 200  # of the PNG files: the thinnest lines are two pixels wide
+POINTS_PER_PIXEL = 72 / PIXELS_PER_INCH
 LEVELS = 16  # of 255, which on a screen nobody sees
 
 
@@ -41,7 +45,27 @@ def same_number(one: str, other: str) -> bool:
 def different_figures(drawn: Path, before: Path) -> list[str]:
     """Names of the figures that were not drawn alike before, or not at all."""
     pairs = [(path, before / path.name) for path in sorted(drawn.glob("*.png"))]
-    return [path.stem for path, tracked in pairs if not same_picture(path, tracked)]
+    return [path.stem for path, tracked in pairs if not same_figure(path, tracked)]
+
+
+def same_figure(drawn: Path, tracked: Path) -> bool:
+    """Whether a PNG file shows what a tracked one shows, and the PDF beside that is whole."""
+    return same_picture(drawn, tracked) and whole_pdf(tracked.with_suffix(".pdf"), drawn)
+
+
+def whole_pdf(path: Path, picture: Path) -> bool:
+    """Whether a PDF file of Matplotlib's is whole and has one page, as large as a PNG file.
+
+    A file that is cut has no end, and where a part is missing, its table is not where the end says.
+    """
+    content = path.read_bytes() if path.is_file() else b""
+    end = re.search(rb"startxref\s+(\d+)\s+%%EOF\s*\Z", content)
+    if end is None or not content.startswith(b"xref", int(end[1])):
+        return False
+    height, width, *_ = imread(picture).shape
+    pages = [box.split() for box in re.findall(rb"/MediaBox \[([^]]+)\]", content)]
+    pixels = np.array(pages, dtype=float) / POINTS_PER_PIXEL
+    return len(pages) == 1 and np.allclose(pixels, [0, 0, width, height], rtol=0, atol=1)
 
 
 def same_picture(one: Path, other: Path) -> bool:

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ilctools.files import folder, replacing
-from rodlib.paper.comparison import PIXELS_PER_INCH, same_picture
+from rodlib.paper.comparison import PIXELS_PER_INCH, same_figure
 from rodlib.paper.repository import ROOT, results
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
@@ -62,10 +62,11 @@ class SavedFigure:
 def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
-    The same bytes in every run; the PDF only where the PNG is not the same as in figures/, because
-    it takes as long as all else. As the last expression of a cell, the outcome shows the figure.
-    The name begins with the paper's figure, as in "fig04-frequency-response"; the caption says what
-    is to be seen, in a sentence or two of plain text that stand for themselves.
+    The same bytes in every run; the PDF only where the PNG is not the same as in figures/ or the
+    PDF there is damaged, because it takes as long as all else. As the last expression of a cell,
+    the outcome shows the figure. The name begins with the paper's figure, as in
+    "fig04-frequency-response"; the caption says what is to be seen, in a sentence or two of plain
+    text that stand for themselves.
     """
     width = round(figure.get_figwidth() * figure.get_dpi())
     figure.set_dpi(PIXELS_PER_INCH)
@@ -75,7 +76,7 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
     with replacing(picture) as temporary:  # without the entries that differ each time
         FigureCanvasAgg(figure).print_png(temporary, metadata={"Software": None})
-    if not same_picture(picture, ROOT / "figures" / picture.name):
+    if not same_figure(picture, ROOT / "figures" / picture.name):
         with replacing(picture.with_suffix(".pdf")) as temporary:
             figure.savefig(temporary, format="pdf", metadata={"CreationDate": None})
     plt.close(figure)  # or the notebook would draw it once more

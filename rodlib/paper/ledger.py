@@ -6,7 +6,9 @@ Both stand in one column. A statement too vague for a criterion is *in words*: t
 it holds. Words are judged alike in both directions. "Small", "little" and "approximately" hold
 below a tenth, fail above a third, and are in words in between; so is, whichever way it comes out,
 what hangs on a choice of ours: a start, a reference found by search, one of several optimal
-filters. Where rigs of ours disagree, the row cannot be checked.
+filters, a signal or a rig. A claim whose verdict turns when the signals and rigs that we assume are
+varied is in words, with the range of its number. Where rigs of ours disagree, the row cannot be
+checked.
 
 Counted apart, by kind: numbers that the paper *prints*; those *derived* from printed ones, where
 the entries depend on coordinates; statements that its model and design decide, and statements that
@@ -227,10 +229,11 @@ Written by `make reproduce`. *Reproduced*: a number within its tolerance, half a
 printed digit; a statement whose criterion, which is ours, holds. *In words*: too vague for one; the
 row says how far it holds. "Small", "little" and "approximately" hold below a tenth and fail above a
 third. What hangs on a choice of ours (a start, a search, one of several optimal filters) is in
-words, whichever way it comes out; where our rigs disagree, it cannot be checked. *Derived* are
-products of printed gains that do not depend on the coordinates of the state, ten for 40 entries.
-What is *taken over* from the paper, or an *identity* (imposed, algebra, or another row once more),
-could hardly differ.
+words, whichever way it comes out. So is a statement whose verdict turns when the signals and rigs
+that we assume are varied; its row has the range ([performance](performance.md)). Where our rigs
+disagree, it cannot be checked. *Derived* are products of printed gains that do not depend on the
+coordinates of the state, ten for 40 entries. What is *taken over* from the paper, or an *identity*
+(imposed, algebra, or another row once more), could hardly differ.
 
 {counts.to_markdown()}
 

@@ -33,7 +33,10 @@ def experiment() -> dict:
 
 
 def record_logs():
-    """Record the two experiments of data/rig; the same bytes in every run."""
+    """Record the two experiments of data/rig; the same bytes in every run on one machine.
+
+    Elsewhere the loop of the metadata may differ in its last digits; signals are rounded.
+    """
     folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
     printed = LearningFilter(published.matrix("L_diagonal"), 1.0)
     for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):

@@ -37,6 +37,13 @@ def test_figures_are_the_same_bytes_and_have_a_pdf_where_they_are_not_as_tracked
     save(curves(), "fig02-test", "A curve.")
     (picture,) = folder.iterdir()
     assert picture.read_bytes() == (tracked / picture.name).read_bytes()
+    pdf = tracked / picture.with_suffix(".pdf").name
+    whole = pdf.read_bytes()
+    pdf.write_bytes(whole[:-100])
+    save(curves(), "fig02-test", "A curve.")
+    assert picture.with_suffix(".pdf").read_bytes() == whole
+    pdf.write_bytes(whole)
+    picture.with_suffix(".pdf").unlink()
     (tracked / picture.name).unlink()
     save(curves(), "fig02-test", "A curve.")
     pdf = picture.with_suffix(".pdf")

@@ -23,7 +23,7 @@ MODULES = {
     "trials.rms": "rms",
     "trials.run": "run_trials",
     "trials.transfer": "transfer",
-    "rigs.controlled": "Controller",
+    "rigs.controller": "Controller",
     "rigs.experiments": "record shake",
     "rigs.protocol": "Rig",
     "logs.format": "save_log",

@@ -25,7 +25,7 @@ from ilctools.measurement.measurement import measured_response as measured_respo
 from ilctools.models import frequency_response as frequency_response
 from ilctools.models import minimal_realisation as minimal_realisation
 from ilctools.models import state_sequence as state_sequence
-from ilctools.rigs.controlled import Controller as Controller
+from ilctools.rigs.controller import Controller as Controller
 from ilctools.rigs.experiments import record as record
 from ilctools.rigs.experiments import shake as shake
 from ilctools.rigs.protocol import Rig as Rig

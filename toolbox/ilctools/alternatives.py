@@ -9,11 +9,10 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft
-from scipy.sparse import csc_array, eye_array, kron
-from scipy.sparse.linalg import SuperLU, splu
 
 from ilctools import arguments
 from ilctools.models import Model, balanced, frequency_response, sampled_plant
+from ilctools.riccati import TrialLeastSquares
 
 
 @dataclass(frozen=True)
@@ -41,12 +40,14 @@ class NormOptimal:
 
     Notes
     -----
-    The inverse is never formed. With x for the states of P and lambda for the multipliers of
-    x(p) = A x(p-1) + B change(p-1), the conditions of optimality couple neighbouring samples alone:
-    a sparse matrix, block tridiagonal and the same in each row, factored once. Of a transfer
-    function with modes that are slow beside Ts and close to each other, coefficients determine a
-    trial to few digits (three modes of 3, 4 and 5 Hz at 1 kHz: to a tenth): take its states,
-    ``control.sample_system(control.ss(plant), Ts)``.
+    The inverse is never formed. By the states of P, the change follows from a recursion backwards
+    in time and one forwards (:mod:`.riccati`). Their gains change near the end of the trial alone,
+    so that memory is little more than the signals. Rounding moves the change by 1e-16 times the
+    condition of the normal equations, (sigma_max(P)^2 + weight) / weight, at most.
+
+    A transfer function whose modes are slow beside Ts and close to each other has coefficients that
+    determine a trial to few digits (three modes of 3, 4 and 5 Hz at 1 kHz: to a tenth). Take its
+    states instead, ``control.sample_system(control.ss(plant), Ts)``.
 
     Examples
     --------
@@ -71,8 +72,9 @@ class NormOptimal:
         samples = arguments.whole("samples", self.samples, 1)
         vars(self).update(P=P, weight=weight, samples=samples)
 
-    def __reduce__(self):  # to another process: the factors have no copy
-        return NormOptimal, (self.P, self.weight, self.samples)
+    def __getstate__(self):
+        """All fields, but no factors: another process computes them faster than it reads them."""
+        return {name: value for name, value in vars(self).items() if name != "_factors"}
 
     @property
     def Ts(self) -> float:
@@ -89,43 +91,37 @@ class NormOptimal:
         return regularised_inverse(frequency_response(self.P, omega), np.sqrt(self.weight))
 
     @cached_property
-    def _model(self) -> tuple[np.ndarray, np.ndarray]:
-        """[A, B] and [C, D] of P in states of like size: pivots stay near the diagonal."""
-        A, B, C = balanced(self.P)
-        return np.hstack([A, B]), np.hstack([C, self.P.D])
+    def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B and C of P in states of like size: one that is large by its unit rules no other."""
+        return balanced(self.P)
 
     @cached_property
-    def _factors(self) -> SuperLU:
-        """Of the conditions of optimality, for x(p), change(p), lambda(p), p = 0, 1, ..."""
-        (AB, CD), N = self._model, self.samples
-        n, size = AB.shape
-        price = CD.T @ CD + self.weight * np.diag(np.arange(size) >= n)
-        here = np.block([[price, np.eye(size, n)], [np.eye(n, size), np.zeros((n, n))]])
-        before = np.zeros_like(here)
-        before[size:, :size] = -AB
-        system = kron(eye_array(N), here) + kron(eye_array(N, k=-1), before)
-        system = csc_array(system + kron(eye_array(N, k=1), before.T))
-        # samples in turn: pivots stay near the diagonal
-        return splu(system, permc_spec="NATURAL")
+    def _factors(self) -> TrialLeastSquares:
+        """Of the least squares on a trial, for any error."""
+        return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples)
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         shape = ..., self.samples, self.channels
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
-        return self._solved(signal @ self._model[1])[..., self.P.nstates :]
+        C, D = self._states[2], self.P.D
+        change = np.empty((*signal.shape[:-1], self.P.ninputs))
+        of_trials = change.reshape(-1, *change.shape[-2:])  # the same numbers
+        for part, _, d in self._factors.solved(signal.reshape(-1, *shape[1:]), C, D):
+            of_trials[:, part] = d
+        return change
 
     def apply_transposed(self, signal) -> np.ndarray:
         """The transpose of the matrix that :meth:`apply` is: P_N (P_N^T P_N + weight I)^-1."""
-        signal = arguments.array("signal", signal, (..., self.samples, self.P.ninputs))
-        return self._solved(signal, self.P.nstates) @ self._model[1].T
-
-    def _solved(self, right, first=0):
-        """x and change, (..., samples, n + m), for right-hand sides of their conditions."""
-        n, m = self.P.B.shape
-        whole = np.zeros((*right.shape[:-1], 2 * n + m))
-        whole[..., first : first + right.shape[-1]] = right
-        columns = whole.reshape(-1, self.samples * whole.shape[-1]).T
-        return self._factors.solve(columns).T.reshape(whole.shape)[..., : n + m]
+        shape = ..., self.samples, self.P.ninputs
+        signal = arguments.array("signal", signal, shape)
+        C, D = self._states[2], self.P.D
+        output = np.empty((*signal.shape[:-1], self.channels))
+        of_trials = output.reshape(-1, *output.shape[-2:])
+        to_x, to_d = np.zeros((len(D.T), C.shape[1])), np.eye(len(D.T))
+        for part, x, d in self._factors.solved(signal.reshape(-1, *shape[1:]), to_x, to_d):
+            of_trials[:, part] = x @ C.T + d @ D.T
+        return output
 
 
 def regularised_inverse(P, b) -> np.ndarray:

@@ -16,8 +16,6 @@ from typing import get_args
 import control
 import numpy as np
 
-from ilctools import labels
-
 CIRCLE = 1 - 1e-9  # modulus from which on a pole counts as on the unit circle: no loop moved it
 PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
 TINIEST = 1e-130  # of numbers whose squares, and sums of them, stay within doubles, down to 1e-308
@@ -119,36 +117,40 @@ def names_of(signals) -> list[str] | None:
 
 
 def in_columns(name, signal, shape, names):
-    """An array with a column for each name, by names if it has some; one needs no second axis.
-
-    Of a DataArray the time comes first, wherever it stands.
-    """
-    signal = labels.time_first(signal)
+    """An array with a column for each name, by names if it has some; one needs no second axis."""
     own, signal = names_of(signal), array(name, signal, (...,))
-    if own is not None and own != [*names]:
-        if sorted(own) != sorted(names):
-            raise ValueError(
-                f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
-                "them, or pass an array, whose columns stand in that order"
-            )
-        signal = signal[..., [own.index(label) for label in names]]
+    if own is not None:
+        signal = signal[..., _order(name, own, names)]
     if signal.ndim == len(names) == 1:
         signal = signal[:, None]
     return array(name, signal, shape)
 
 
+def by_channel(name, value, names):
+    """A number for each channel in the order of `names`, if it is labelled; others as they are."""
+    own = names_of(value.to_xarray() if hasattr(value, "to_frame") else value)  # of pandas
+    return value if own is None else np.asarray(value)[..., _order(name, own, names)]
+
+
+def _order(name, own, names):
+    """Where among its own names each channel stands."""
+    if sorted(own) != sorted(names):
+        raise ValueError(
+            f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
+            "them, or pass an array, whose columns stand in that order"
+        )
+    return [own.index(label) for label in names]
+
+
 def labelled_as(value, signal, names):
     """An array, a column for each of `names`, with the shape, labels and order of `value`."""
-    value, asked = labels.time_first(value), value
     own = names_of(value)
     if own is None:
-        signal = signal.reshape(np.shape(value))
-        moved = getattr(value, "dims", None) != getattr(asked, "dims", None)
-        return value.copy(data=signal).transpose(*asked.dims).values if moved else signal
+        return signal.reshape(np.shape(value))
     signal = signal[..., [names.index(label) for label in own]]
     if hasattr(value, "columns"):
         return type(value)(signal, value.index, value.columns)
-    return value.copy(data=signal.reshape(value.shape)).transpose(*asked.dims)
+    return value.copy(data=signal.reshape(value.shape))
 
 
 def check_times(name: str, times, Ts: float) -> None:
@@ -222,8 +224,10 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
+    dimensions = getattr(value, "dims", ())
+    if len(dimensions) > 1 and dimensions[-1] == "time":
+        raise ValueError(f"{name} has the dimensions {dimensions}: transpose it, the channels last")
     _check_shape(name, plain.shape, tuple(shape))
-    _check_dimensions(name, getattr(value, "dims", ()), tuple(shape))
     result = np.asarray(np.ma.filled(plain.astype(dtype), np.nan))  # what is masked is missing
     finite = np.isfinite(result)
     if not finite.all():
@@ -235,28 +239,15 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
 
 def _check_shape(name, sizes, shape):
     """Refuse an array of another shape."""
-    trailing, wanted = sizes, shape
-    if wanted and wanted[0] is Ellipsis:
-        wanted = wanted[1:]
-        trailing = sizes[max(0, len(sizes) - len(wanted)) :]
-    if _fits(trailing, wanted):
+    wanted = [size for size in shape if size is not Ellipsis]
+    free = (
+        len(sizes) - len(wanted) if len(wanted) < len(shape) else 0
+    )  # axes that may have any size
+    if _fits(sizes[free:], wanted):
         return
     words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
     words += "," if len(shape) == 1 else ""
     raise ValueError(f"{name} has shape {sizes}, but must have shape ({words})")
-
-
-def _check_dimensions(name, dimensions, shape):
-    """Refuse a labelled array one of whose dimensions stands where another one must."""
-    wanted = shape[1:] if shape and shape[0] is Ellipsis else shape
-    for dimension in {*wanted} & {*dimensions}:
-        from_the_end = len(wanted) - wanted.index(dimension)
-        if [*dimensions].index(dimension) != len(dimensions) - from_the_end:
-            words = ", ".join(map(str, wanted))
-            raise ValueError(
-                f"{name} has the dimensions {[*dimensions]}, but they must stand in the order "
-                f"({words}): transpose it"
-            )
 
 
 def _fits(sizes, wanted):

@@ -17,7 +17,10 @@ Of several plants P_k it is the law that minimises the mean of ||e - P_k change|
     B = (mean P_k* P_k + b^2)^-1 mean P_k* = (P* P + b^2)^-1 P* E,
 
 with P for the P_k one below the other, divided by sqrt(p), and E for p identities, divided so, too.
-The bound on B holds for them as well, since the gain of E is one.
+The bound on B holds for them as well, since the gain of E is one. P and E may be multiplied from
+the left by any matrix with orthonormal rows whose row space holds the columns of [C, D] of P: so P
+needs no more outputs than it has states and inputs, and what the plants have in common is kept
+once, see :mod:`.pooled`.
 
 With the gain K of the linear-quadratic state feedback, and a constant R,
 
@@ -33,16 +36,27 @@ from functools import cached_property, lru_cache
 import control
 import numpy as np
 from scipy.fft import rfft
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ilctools import arguments
 from ilctools.alternatives import NormOptimal, coefficients_of, regularised_inverse
 from ilctools.filters import Composition, LearningFilter
-from ilctools.models import balanced, frequency_response, minimal_realisation, sampled_plant
+from ilctools.models import (
+    balanced,
+    frequency_response,
+    impulse_response,
+    minimal_realisation,
+    sampled_plant,
+)
+from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
 NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
 POINTS = 2**15  # of the transform that gives the coefficients of B
 FARTHEST = POINTS // 4  # samples that B reaches at most, each way
+# of sigma_max(P) / b, up to which B on a trial is found from P_N^T P_N + b^2 I, whose condition is
+# the square of it: B then keeps eight digits
+MOST_UNEQUAL = 1e4
 EXACT = 1e-7  # relative error of the factors that is rounding
 
 
@@ -51,18 +65,26 @@ class RegularisedInverse:
     """B = (P* P + b^2)^-1 P* E of models, with the ends of a trial.
 
     On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T E, of the channels divided by `scale`: P is in
-    these units, B is not. P has m inputs, and m outputs for each model.
+    these units, B is not. P has m inputs and p outputs. Without E it has m outputs for each model.
     """
 
     P: control.StateSpace
     b: float
     scale: np.ndarray
+    E: np.ndarray | None = None  # (p, m); identities one below the other, one for each model
 
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
         arguments.stable("P", P.poles())
+        if self.E is None and P.noutputs % P.ninputs:
+            raise ValueError(
+                f"P has {P.noutputs} outputs and {P.ninputs} inputs, but must have as many outputs "
+                "as inputs for each model"
+            )
         scale = arguments.array("scale", self.scale, (P.ninputs,))
-        vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale)
+        E = isometry(P.noutputs // P.ninputs, P.ninputs) if self.E is None else self.E
+        E = arguments.array("E", E, (P.noutputs, P.ninputs))
+        vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale, E=E)
 
     @property
     def Ts(self) -> float:
@@ -73,11 +95,6 @@ class RegularisedInverse:
     def channels(self) -> int:
         """Number m of inputs."""
         return self.P.ninputs
-
-    @property
-    def E(self) -> np.ndarray:
-        """Identities one below the other, one for each model."""
-        return isometry(self.P.noutputs // self.channels, self.channels)
 
     @cached_property
     def poles(self) -> np.ndarray:
@@ -114,6 +131,24 @@ class RegularisedInverse:
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
         return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale / self.b
 
+    def matrix(self, samples: int) -> np.ndarray:
+        """The matrix that :meth:`apply` is on raveled trials, (samples m, samples m)."""
+        m = self.channels
+        h = impulse_response(self.P * (1 / self.b), samples)
+        largest = np.linalg.norm(h, axis=(1, 2)).sum()  # not below sigma_max(P) / b
+        if largest > MOST_UNEQUAL:
+            units = np.eye(samples * m).reshape(-1, samples, m)
+            return self.apply(units).reshape(samples * m, -1).T
+        normal = gram(h).transpose(0, 2, 1, 3).reshape(samples * m, -1)
+        normal[np.diag_indices_from(normal)] += 1
+        # P_N^T E is upper triangular: the block in row i and column j is h(j - i)^T E
+        back = np.concatenate([h.swapaxes(1, 2) @ self.E, np.zeros((samples - 1, m, m))])
+        lag = np.subtract.outer(np.arange(samples), np.arange(samples)).T
+        right = back[lag].transpose(0, 2, 1, 3).reshape(samples * m, -1)
+        B = cho_solve(cho_factor(normal), right) / self.b
+        units = np.tile(self.scale, samples)
+        return units[:, None] * B / units
+
 
 @lru_cache(maxsize=4)
 def _norm_optimal(base, samples):
@@ -121,9 +156,18 @@ def _norm_optimal(base, samples):
     return NormOptimal(base.P * (1 / base.b), 1.0, samples)
 
 
-def isometry(copies, m) -> np.ndarray:
-    """E: so many identities one below the other, divided by the root of their number."""
-    return np.tile(np.eye(m), (copies, 1)) / np.sqrt(copies)
+def gram(h) -> np.ndarray:
+    """P_N^T P_N of an impulse response h, (N, p, m), by blocks: (N, N, m, m).
+
+    P_N is lower triangular and Toeplitz, so that each block is the next one on its diagonal and a
+    product of two samples of h: G(i, j) = G(i + 1, j + 1) + h(N - 1 - i)^T h(N - 1 - j).
+    """
+    N, p, m = h.shape
+    columns = h[::-1].swapaxes(0, 1).reshape(p, N * m)
+    blocks = (columns.T @ columns).reshape(N, m, N, m).transpose(0, 2, 1, 3).copy()
+    for i in reversed(range(N - 1)):
+        blocks[i, :-1] += blocks[i + 1, 1:]
+    return blocks
 
 
 def quadratic_law(P, b) -> np.ndarray:
@@ -141,23 +185,31 @@ def in_units(L, scale):
     return replace(L, coefficients=L.coefficients * (scale[:, None] / scale)[..., None])
 
 
-def base_of_models(models, b, structure) -> RegularisedInverse | None:
-    """B of models, diagonal if asked for; None if rounding hides it."""
+def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
+    """B of models, diagonal if asked for; None if it has too many states or rounding hides it."""
     try:
-        if structure == "diagonal":
-            models = [_uncoupled(P) for P in models]
-        m = models[0].ninputs
-        P = control.append(*models) * isometry(len(models), m)
-        base = RegularisedInverse(P, b, np.ones(m))
+        for change in CHANGES:
+            P, E = _of_all(models, b, structure, change)
+            if P.nstates <= most:
+                break
+        else:
+            return None
+        base = RegularisedInverse(P, b, np.ones(P.ninputs), E)
         return base if len(base.poles) else None  # which rounding may decide
     except (np.linalg.LinAlgError, ValueError):
         return None
 
 
-def _uncoupled(P):
-    """A model without what an input does to the outputs of others."""
-    labels = enumerate(P.input_labels)
-    return control.append(*(minimal_realisation(P[i, i], [label]) for i, label in labels))
+def _of_all(models, b, structure, change) -> Pooled:
+    """P and E of all models; of a diagonal B, each channel by itself."""
+    if structure != "diagonal":
+        return pooled(models, b, change)
+    channels = []
+    for i in range(models[0].ninputs):
+        # a channel without what other inputs do to its output
+        alone = [minimal_realisation(P[i, i], [P.input_labels[i]]) for P in models]
+        channels.append(pooled(alone, b, change))
+    return Pooled(control.append(*(P for P, _ in channels)), block_diag(*(E for _, E in channels)))
 
 
 def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFilter:
@@ -197,13 +249,11 @@ def _shortened(B, counts, farthest):
 
 
 def _faded(response, number, cutoff, omega):
-    """A plant at any frequency; samples are held below them, and faded out beyond Q's cut-off."""
+    """A plant at any frequency, of samples as known below; faded out beyond Q's cut-off."""
     if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
-    first, last = response.omega[[0, -1]]
-    P, _ = response.anywhere(number, np.clip(omega, first, last))
-    if first > 0:  # P is real at rest
-        P.imag *= np.minimum(omega / first, 1)[:, None, None]
+    last = response.omega[-1]
+    P, _ = response.anywhere(number, np.minimum(omega, last))
     if response.beyond is None:
         return P
     start = min(cutoff, 0.9 * last)

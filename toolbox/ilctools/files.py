@@ -25,28 +25,23 @@ def folder(path: Path) -> Path:
 
 
 @contextmanager
-def alone(lock: Path, refusal: str, wait: bool = False) -> Iterator[None]:
-    """Refuse other processes, or let them wait, until this one has finished or is dead.
+def alone(lock: Path, refusal: str) -> Iterator[None]:
+    """Refuse other processes until this one has finished or is dead.
 
     The file stays, the lock on it ends with the process. Where a link or a pipe waits at its name,
     this is an error: who can write to the folder would decide what is created or waited for.
     """
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
         raise FileExistsError(f"{lock} is no regular file, or a link: remove it")
-    with open(lock, "a", encoding="utf-8", opener=_no_link) as file:
+    with open(lock, "a", encoding="utf-8") as file:
         try:
             if fcntl:
-                fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             else:
-                msvcrt.locking(file.fileno(), msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
         except OSError:
             raise RuntimeError(refusal) from None
         yield
-
-
-def _no_link(path, flags):
-    """Open a file, but not where a link leads that was made a moment ago."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def regular(path: Path) -> Path:

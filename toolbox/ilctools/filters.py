@@ -17,9 +17,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.fft import ifft, next_fast_len
 from scipy.signal import BadCoefficients, butter, oaconvolve, sosfilt
-from scipy.special import i0
 
 from ilctools import arguments, labels
 
@@ -29,11 +27,11 @@ ENDS = {  # whether the first sample stands still before the trial, and the last
     "hold-last": (False, True),
 }
 AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")  # of the plant: L makes inputs of errors
-LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time_shifts`
-WIDTH = 14  # points of the grid that `transform` takes for a frequency: one more, a tenth the error
+LONG = 100  # coefficients: beyond, doubles and the fast convolution do, see `time_shifts`
 FARTHEST = 10**6  # samples that a filter may look ahead or back
 HIGHEST = 20  # order of Q: what is higher is a cut-off in the place of the order
-LONGEST = 10**7  # samples that the response of Q may last each way
+LONGEST_RESPONSE = 10**7  # samples that the response of Q may last each way
+ANYWHERE = 1.0  # rad a sample: where a response is asked for its shape alone
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class ZeroPhaseButterworth:
             warnings.simplefilter("ignore", BadCoefficients)
             try:
                 gains = self.frequency_response([0, self.cutoff])
-                decays = 0 <= self.decay < LONGEST
+                decays = 0 <= self.decay < LONGEST_RESPONSE
             except OverflowError:  # next to the Nyquist frequency, or of a pole on the circle
                 return False
         return decays and np.allclose(gains, [1, 0.5], 0, 1e-6)
@@ -232,7 +230,7 @@ class LearningFilter:
     first: int = 1
 
     def __post_init__(self):
-        c = labels.matched("coefficients", self.coefficients, dict.fromkeys(AXES_OF_L))
+        c = labels.with_axes("coefficients", self.coefficients, AXES_OF_L)
         c = arguments.array("coefficients", c, ("m", "m", "order"))
         Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))
@@ -268,12 +266,15 @@ class LearningFilter:
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
         angles = self.Ts * arguments.row("omega", omega)
-        if self.order <= LONG:
-            shifts = time_shifts(angles, self.order)
-            response = np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
-        else:
-            response = transform(self.coefficients, angles)
-        return response * np.exp(1j * (self.first - 1) * angles)[:, None, None]
+        shifts = time_shifts(angles, min(self.order, LONG))
+        if self.order > LONG:
+            shifts = shifts.astype(complex)
+        response = 0
+        for start in range(0, self.order, LONG):
+            taps = self.coefficients[..., start : start + LONG]
+            part = np.tensordot(shifts[:, : taps.shape[-1]], taps, (1, 2)).astype(complex)  # (44)
+            response += part * np.exp(1j * (self.first + start - 1) * angles)[:, None, None]
+        return response
 
     def __call__(self, z) -> np.ndarray:
         """L(z), laid out as python-control's systems do: the axes of `z` last.
@@ -377,31 +378,21 @@ def time_shifts(angles, order) -> np.ndarray:
     return np.cumprod(np.repeat(z[:, None], order, axis=1), axis=1)
 
 
-def transform(coefficients, angles) -> np.ndarray:
-    """Sum over k of coefficients[..., k - 1] exp(j k angle), shape (n, m, m), complex.
-
-    By a fast transform onto a grid of twice the order, interpolated with the window of Kaiser and
-    Bessel (Fessler and Sutton, IEEE Trans. Signal Processing 51 (2003) 560-574). The error is below
-    1e-12 times the sum of the magnitudes of the coefficients.
-    """
-    order = coefficients.shape[-1]
-    k = np.arange(order) - order // 2
-    size = next_fast_len(2 * order)
-    beta = np.pi * np.sqrt((0.75 * WIDTH) ** 2 - 0.8)  # for a grid of twice the order
-    root = np.sqrt(beta**2 - (np.pi * WIDTH * k / size) ** 2)
-    values = np.zeros((*coefficients.shape[:-1], size))
-    values[..., k] = coefficients * root / np.sinh(root)  # less what the window does to them
-    values = ifft(values, norm="forward")
-    place = angles[:, None] * size / (2 * np.pi)
-    nearest = np.floor(place).astype(int) + np.arange(1 - WIDTH // 2, 1 + WIDTH // 2)
-    off = 2 * (place - nearest) / WIDTH
-    window = i0(beta * np.sqrt(np.maximum(1 - off**2, 0))) / WIDTH
-    response = np.einsum("nl,ijnl->nij", window, values[..., nearest % size])
-    return np.exp(1j * (order // 2 + 1) * angles)[:, None, None] * response
-
-
-def check_learning(L: LearningOperator, channels: int, name: str = "L") -> None:
-    """Check that L is a learning operator for so many channels; a ValueError says so if not."""
+def check_learning(L: LearningOperator, channels: int | None = None, name: str = "L") -> None:
+    """Check that L makes as many signals as it takes errors, and so many if `channels` says so."""
     arguments.instance(name, L, LearningOperator)
-    if L.channels != channels:
+    if channels is not None and L.channels != channels:
         raise ValueError(f"{name} acts on {L.channels} channels, but must act on {channels}")
+    response = L.frequency_response(np.array([ANYWHERE / L.Ts]))
+    response = arguments.array(f"{name}.frequency_response", response, (1, "m", "p"), complex)
+    check_square(name, *response.shape[1:])
+
+
+def check_square(name: str, made: int, taken: int) -> None:
+    """Refuse an operator of a plant with other numbers of inputs and outputs."""
+    if made != taken:
+        inputs, outputs = f"{made} input{'s' * (made > 1)}", f"{taken} output{'s' * (taken > 1)}"
+        raise ValueError(
+            f"{name} is of a plant with {outputs} and {inputs}, but the law adds one signal to v "
+            "for each error: take a plant with as many inputs as outputs"
+        )

@@ -1,14 +1,13 @@
 """What speaks against a design: a code with its numbers, put into words here and nowhere else."""
 
 from dataclasses import dataclass
+from typing import Any
 
 WORDS = {
     # what fails
     "gap": "relative duality gap {value:.1e} > {limit:g}",
-    "M": "sigma_max(M) {place} = {value:.12g} > M_max = {limit}",
-    "L": "sigma_max(L) = {value:.12g} > L_max = {limit} on the grid",
-    "M everywhere": "sigma_max(M) {place} is {value:.12g}, above M_max = {limit}",
-    "L everywhere": "sigma_max(L) is {value:.12g}, above L_max = {limit}, at some frequency",
+    "on the grid": "{claim.what}{place} = {value:.12g}, above {claim} on the grid",
+    "everywhere": "{claim.what}{place} is {value:.12g}, above {claim}, at some frequency",
     "one or more": "sigma_max(M) {place}, not in omega, reaches {value:.9g}: Lemma 1 does not "
     "hold; add frequencies there, or synthesise with everywhere=True",
     "beyond": "sigma_max(M) {place} may reach {value:.4g}, with the size of P assumed there: "
@@ -26,10 +25,17 @@ WORDS = {
     "pass 2 pi omega, as omega is in rad/s",
     "sign": "P is near {value:g} {place}, where a loop that tracks its reference has 1: is the "
     "sign of P reversed?",
-    "sensitivity": "P passes {value:.2g} {place} and is one at the highest frequencies, as the "
-    "sensitivity I - P is: P is the response from the reference, or v, to the output",
-    "inverse": "P is near one at the lowest frequency, and its gain grows to {value:.3g} {place}, "
-    "where its phase leads: is it the inverse of P?",
+    "below": "sigma_max(M) may reach {value:.4g} {place}, where P is not known well enough: errors "
+    "that slow may grow from trial to trial; measure P at lower frequencies, too",
+    "narrow": "{place} decides the cut-off of Q: without that range it would be {value:.2g} rad/s "
+    "instead of {limit:.2g} rad/s. If P is not known well enough there, record longer or larger "
+    "moves; else pass Q with the higher cut-off, and look at the rate",
+    "little": "Q with cut-off {value:.4g} rad/s, {place}: next to nothing is learned, as P is too "
+    "uncertain there, or its plants differ: record longer or larger moves",
+    "halved": "Q with cut-off {limit:.4g} rad/s, half of what P admits, because there the norm of "
+    "a trial {place} is {value:.3g}: its ends might grow from trial to trial{remedy}",
+    "ends": "Q with cut-off {limit:.4g} rad/s, half of what P admits: norm of a trial {place} "
+    "{value:.3g}: its ends may grow from trial to trial{remedy}",
     "idle": "the filter leaves {value:.0%} of the error that counts",
     "between": "sigma_max(M) {place}, between the frequencies omega, reaches {value:.4g}, where "
     "M_max = {limit:g} bounds it: synthesise with everywhere=True, or a smaller L_max",
@@ -47,6 +53,8 @@ class Finding:
     value: float
     limit: float
     place: str = ""  # which plant and frequency
+    remedy: str = ""  # with its numbers, where these are known
+    claim: Any = None  # the bound that it is about, with its name and what is bounded
 
     def __str__(self):
         return WORDS[self.code].format(**vars(self))

@@ -19,7 +19,6 @@ from scipy.linalg import matrix_balance, null_space, schur
 
 from ilctools import arguments
 
-MANY = 50  # states, from which on it pays to look for zeros of a triangular matrix
 SILENT = 1e-9  # relative: a mode that is less is not reached, a response that is less the same
 
 # With what a door realises, and what control.ss and control.sample_system may give by their types
@@ -79,20 +78,12 @@ def by_substitution(T, B, C, D, z) -> np.ndarray:
     n, m = B.shape
     X = np.empty((n, m * len(z)), dtype=complex)
     for i in reversed(range(n)):  # (zI - T) X = B, from the last row up
-        right = _right_of_diagonal(T, i)
-        row = (T[i, right] @ X[right]).reshape(m, -1) + B[i, :, None]
+        right = T[i, i + 1 :]
+        used = right != 0  # of a delay one in each row
+        row = (right[used] @ X[i + 1 :][used]).reshape(m, -1) + B[i, :, None]
         X[i] = (row / (z - T[i, i])).ravel()
     G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
     return np.moveaxis(G, -1, 0)
-
-
-def _right_of_diagonal(T, i):
-    """The columns of row i of a triangular T that count in a substitution."""
-    further = slice(i + 1, None)
-    if len(T) < MANY:
-        return further
-    entries = i + 1 + np.flatnonzero(T[i, further])  # of a delay one in each row
-    return entries if len(entries) < (len(T) - i) / 2 else further
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
@@ -226,12 +217,11 @@ def model_and_response(name: str, plant, omega, Ts: float):
     if not isinstance(plant, control.LTI):
         return None, plant
     measured = isinstance(plant, control.FrequencyResponseData)
-    dt = Ts if measured and plant.dt in (None, True, 0) else plant.dt  # it need not say it
-    if dt is None:
-        raise ValueError(f"{name}.dt = None must be Ts = {Ts!r}: pass it, as control.ss(..., Ts)")
-    if dt is True or dt != Ts:  # True, some period, equals 1 s
+    unsaid = measured and plant.dt in (None, True, 0)  # as samples may leave it
+    if not unsaid and (plant.dt is True or plant.dt != Ts):  # True, some period, equals 1 s
         raise ValueError(
-            f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: control.sample_system samples at Ts"
+            f"{name}.dt = {plant.dt!r} must be Ts = {Ts!r}: pass it, as control.ss(..., Ts), or "
+            "sample at it, by control.sample_system"
         )
     if measured:
         return None, _samples_on(name, plant, omega, np.pi / Ts)

@@ -12,7 +12,6 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.arguments import ROLES
-from ilctools.labels import given_names
 
 SIGNALS = {  # of trials, in their order in a log, and the role of their channels
     "reference": "output",
@@ -58,11 +57,6 @@ class Signals:
         plant = getattr(plant, "loop", plant)  # of a measured response
         Ts, units = getattr(plant, "Ts", Ts), getattr(plant, "units", {})
         return cls(Ts, units=units, labels=_labels_of(plant))
-
-    def channels_of(self, m: int) -> tuple[list[str] | None, list[str] | None]:
-        """The names that somebody gave to m outputs and to the inputs; None where nobody did."""
-        labels = self.labels or []
-        return given_names(labels[:m]), given_names(labels[m:])
 
 
 def period_of(trials) -> float:

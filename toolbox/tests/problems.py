@@ -59,7 +59,7 @@ def optimum(problem):
 
     for i, omega in enumerate(problem.omega):
         q, z, t = problem.Q[i], np.exp(1j * omega * problem.Ts), cp.Variable()
-        L, limit = sum(c * z ** (k + 1) for k, c in enumerate(C)), 1 / problem.weight[i, 0, 0]
+        L, limit = sum(c * z ** (k + 1) for k, c in enumerate(C)), 1 / problem.L_bound[i, 0, 0]
         M = [q * (one - P[i] @ L) for P in problem.plants]
         at_most("V", L, limit * one, limit)
         at_most("U", M[0], t * one, t)

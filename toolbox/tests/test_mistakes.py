@@ -84,16 +84,14 @@ REFUSED = {  # what the error says, and a call
     "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
     # numbers that no plant has
     "reach = 'x' must be a whole number": lambda: synthesise(MODEL, Q, reach="x"),
-    "reach = 0 must be a whole number": lambda: synthesise(MODEL, Q, order=5, reach=0),
     r"P is singular at omega = 0.000314159 .* each output respond": lambda: synthesise(0 * MODEL),
-    r"P\[1\] is singular at": lambda: synthesise([MODEL, 0 * MODEL]),
     r"reference has values of 1e\+300 .*another unit": lambda: synthesise(
         MODEL, Q, reference=np.full(60, 1e300)
     ),
     r"P has values of 2.55e-300 at most, .*nearer to one": lambda: synthesise(
         1e-300 * P, Q, OMEGA, order=5, base=None
     ),
-    r"scale = \[1e\+300, 1e-300\] spans more than": lambda: synthesise(
+    r"scale has values of 1e\+300 at most, .*other units": lambda: synthesise(
         OF_AXES.problem.response.models[0], OF_AXES.Q, scale=[1e300, 1e-300]
     ),
     "P.dt = None must be Ts = 1.0": lambda: synthesise(control.ss([], [], [], 2.0), Ts=1.0),
@@ -244,15 +242,13 @@ def test_the_error_is_what_reference_and_outputs_say():
 
 def test_trials_that_diverge_by_their_ends_alone_are_warned_of():
     """Without a bound on L: a certificate of less than one, of trials without ends."""
-    for seed in (3, 8):
-        plant = random_stable(seed, n=3, m=1, distance=0.05, Ts=1.0)
-        loop = ClosedLoop(control.ss(plant.A, plant.B, plant.C, 0, 1.0))
-        design = synthesise(loop, zero_phase_butterworth(2, 0.5, 1.0), L_max=None, base=None)
-        assert design.certificate.rate < 1
-        law, move = design.law(), bump(200, [1.0])
-        with pytest.warns(UserWarning, match=r"the error grows.*trial_norm is below 1") as seen:
-            run_trials(loop, law, move, trials=10)
-        assert len(seen) == 1 and trial_norm(loop.P, law.Q, law.L, 200)[0] > 1
+    plant = random_stable(3, n=3, m=1, distance=0.05, Ts=1.0)
+    loop = ClosedLoop(control.ss(plant.A, plant.B, plant.C, 0, 1.0))
+    design = synthesise(loop, zero_phase_butterworth(2, 0.5, 1.0), L_max=None, base=None)
+    assert design.certificate.rate < 1
+    with pytest.warns(UserWarning, match=r"the error grows.*trial_norm is below 1") as seen:
+        run_trials(loop, design.law(), bump(200, [1.0]), trials=10)
+    assert len(seen) == 1 and trial_norm(loop.P, design.Q, design.filter, 200)[0] > 1
 
 
 def test_what_holds_a_model_can_be_sent_to_another_process():
@@ -308,12 +304,11 @@ def test_the_size_of_whole_numbers_is_not_wrapped():
 
 
 def test_one_channel_needs_no_axis():
-    column, runs = MOVE[:, None], []
-    for move in (MOVE, column):
-        runs.append(run_trials(CURRENT, LAW, move, None, 2, v=move))
-        rig = RestartingModel(LAG)
-        runs.append(record(rig, CURRENT, LAW, move, trials=2, v=move))
-    assert runs[0].identical(runs[2]) and runs[1].identical(runs[3])
+    column = MOVE[:, None]
+    plain = run_trials(CURRENT, LAW, MOVE, None, 2, v=MOVE)
+    assert run_trials(CURRENT, LAW, column, None, 2, v=column).identical(plain)
+    rigs = (record(RestartingModel(LAG), CURRENT, LAW, r, trials=2, v=r) for r in (MOVE, column))
+    assert next(rigs).identical(next(rigs))
 
 
 def test_where_there_is_nothing_to_learn_nothing_is_said():

@@ -42,6 +42,9 @@ def test_a_log_written_by_hand_is_read(good):
     [
         ("log 2", "log 1", "format is 'rodlib trial log 1'"),
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = -1.0 must be"),
+        ("Ts: 1.0 s", "Ts: 1.0", "Ts is '1.0', but must be a number and a unit"),
+        ("Ts: 1.0 s", "Ts: 1.0 s s", "Ts is '1.0 s s', but must be a number and a unit"),
+        ("# Ts: 1.0 s\n", "", "Ts is '', but must be a number and a unit"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice"),
         (",y_depth,", ",depth,", r"missing are \['y_depth'\] and unknown \['depth'\]"),
         ('"mm"', "1", "unit of 'depth' = 1"),

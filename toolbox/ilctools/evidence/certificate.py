@@ -9,25 +9,36 @@ from functools import cached_property
 
 import numpy as np
 
+from ilctools.evidence import report
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
 from ilctools.evidence.finite import settled_norm
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
-from ilctools.evidence.peak import CLOSE, DEAF, Peak, dense_grid, highest, peak_of_L, peaks_of_M
+from ilctools.evidence.peak import (
+    BELOW,
+    CLOSE,
+    DEAF,
+    Peak,
+    dense_grid,
+    highest,
+    peak_of_L,
+    peaks_of_M,
+)
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
+from ilctools.problem.bounds import Claim
 from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
-from ilctools.problem.plausible import at_rest_in_words, doubts
-from ilctools.problem.problem import K_MAX, Problem, Solution
+from ilctools.problem.plausible import doubts
+from ilctools.problem.problem import Problem, Solution
 from ilctools.problem.reference import predicted_rms
-from ilctools.singular_values import TIED, largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
 VIOLATION = 1e-9
-BELOW = np.nextafter(1, 0)  # of one, which is no longer monotone
+BELOW_ONE = np.nextafter(1, 0)  # one is no longer monotone
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
 COARSE = 0.25
@@ -45,11 +56,11 @@ class Certificate:
 
     problem: Problem  # as stated
     grid: Problem  # at all frequencies at which it needed bounds
-    filter: Filter  # in units of scale, as P is
+    scaled_filter: Filter  # in units of scale, as P is
     value: float  # the objective reached
     worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
     peaks: dict[str, Peak]  # the highest of sigma_max(M) by how it is known, see peaks_of_M
-    grid_L: float  # peak of sigma_max(L) on the grid
+    sigma_L: np.ndarray  # sigma_max(L) at each frequency of the grid
     lower_bound: float = np.nan  # what no such filter within the bounds can go below
 
     @property
@@ -58,9 +69,27 @@ class Certificate:
         return self.peaks["on the grid"].sigma
 
     @property
+    def grid_L(self) -> float:
+        """Peak of sigma_max(L) on the grid."""
+        return float(self.sigma_L.max())
+
+    def on_grid(self, claim: Claim) -> float:
+        """The largest value on the grid of what a claim is about."""
+        if claim.matrix == "M":
+            return self.grid_M
+        return float(self.sigma_L[claim.holds_at(self.grid.omega)].max(initial=0))
+
+    def anywhere(self, claim: Claim) -> float:
+        """The largest value at all frequencies of what a claim is about."""
+        if claim.matrix == "M":
+            return self.all_M
+        return peak_of_L(self.scaled_filter, claim.lowest)[0] if claim.lowest else self.all_L
+
+    @property
     def peak(self) -> Peak:
         """The highest over all frequencies at which P is known."""
-        return highest([peak for how, peak in self.peaks.items() if how != "assumed"])
+        known = [peak for how, peak in self.peaks.items() if how not in ("assumed", BELOW)]
+        return highest(known)
 
     @property
     def all_M(self) -> float:
@@ -70,7 +99,7 @@ class Certificate:
     @cached_property
     def all_L(self) -> float:
         """An upper bound of sigma_max(L), to CLOSE, for all frequencies."""
-        return peak_of_L(self.filter)[0]
+        return peak_of_L(self.scaled_filter)[0]
 
     @property
     def proven(self) -> bool:
@@ -95,11 +124,11 @@ class Certificate:
         """
         problem = self.problem
         peaks, plants = [peak.omega for peak in self.peaks.values()], range(len(problem.plants))
-        grids = [dense_grid(problem.response, k, self.filter) for k in plants]
+        grids = [dense_grid(problem.response, k, self.scaled_filter) for k in plants]
         omega = np.concatenate([problem.omega, peaks, *grids])
         own = self._at(omega, plants)
         # what the eigenvalues do not have: what splines may miss, and what is assumed beyond
-        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1}
+        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1, BELOW: 1}
         unknown = [self.peaks[how].sigma >= least[how] for how in least.keys() & self.peaks]
         return Convergence(
             problem.omega,
@@ -116,7 +145,7 @@ class Certificate:
         """How trials converge for some plants, by number, at any frequencies."""
         problem = self.problem
         P = np.array([problem.response.anywhere(k, omega)[0] for k in plants])
-        Q, L = (f.frequency_response(omega) for f in (problem.lowpass, self.filter))
+        Q, L = (f.frequency_response(omega) for f in (problem.lowpass, self.scaled_filter))
         return from_responses(omega, P, Q, L)
 
     @property
@@ -131,13 +160,15 @@ class Certificate:
 
     @cached_property
     def margins(self) -> Margins:
-        """How far the plant may be off before monotone convergence is lost."""
-        return margins(self.problem, self.filter)
+        """By how much the plant may change before monotone convergence is lost."""
+        return margins(self.problem, self.scaled_filter)
 
     @cached_property
     def predicted(self) -> dict[int, float] | None:
         """RMS of the error, by trial, see :func:`.predicted_rms`; None without a reference."""
-        return None if self.problem.objective.band else predicted_rms(self.problem, self.filter)
+        return (
+            None if self.problem.objective.band else predicted_rms(self.problem, self.scaled_filter)
+        )
 
     @property
     def gap(self) -> float:
@@ -147,89 +178,74 @@ class Certificate:
     @property
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
-        problem, peaks, at = self.problem, self.peaks, self._place
-        M_max, L_max = problem.M_max, problem.L_max or np.inf
-        on_grid, anywhere = 1 + VIOLATION, 1 + CLOSE
-        claims = [  # values that may be this times their limit
+        problem = self.problem
+        judged = [  # values that may be so many times their limit
             (1, Finding("gap", self.gap, GAP)),
-            (on_grid, Finding("M", self.grid_M, M_max, at(peaks["on the grid"]))),
-            (on_grid, Finding("L", self.grid_L, L_max)),
+            *((1 + VIOLATION, self._judged("on the grid", c)) for c in problem.bounds.claims),
         ]
         if problem.bounds.everywhere:
-            claims.append((anywhere, Finding("M everywhere", self.all_M, M_max, at(self.peak))))
-            claims.append((anywhere, Finding("L everywhere", self.all_L, L_max)))
+            judged += [(1 + CLOSE, self._judged("everywhere", c)) for c in problem.bounds.claims]
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
-        for how in codes.keys() & peaks:
-            claims.append((BELOW, Finding(codes[how], peaks[how].sigma, 1, at(peaks[how]))))
-        return [claim for times, claim in claims if claim.value > claim.limit * times]
+        for how in codes.keys() & self.peaks:
+            peak = self.peaks[how]
+            judged.append((BELOW_ONE, Finding(codes[how], peak.sigma, 1, self.place(peak))))
+        return [found for times, found in judged if found.value > found.limit * times]
+
+    def _judged(self, code, claim) -> Finding:
+        """A claim with the value that stands against it, on the grid or everywhere."""
+        value = self.on_grid(claim) if code == "on the grid" else self.anywhere(claim)
+        place = ""
+        if claim.matrix == "M":
+            place = " " + self.place(self.peaks.get(code, self.peak))
+        return Finding(code, value, claim.limit, place, claim=claim)
 
     @property
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
-        found, signals = [*problem.findings], response.signals
+        found, signals = [*problem.findings, *problem.costs], response.signals
         outputs = (signals.labels or [])[: problem.channels]
         units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and np.all(problem.scale == 1):
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
         found += self._doubts
-        if response.models[0] is None:
+        if response.models[0] is None and response.low is None:  # else signals say what leads
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
+        if BELOW in self.peaks and self.peaks[BELOW].sigma > BELOW_ONE:
+            below = f"below {problem.omega[0]:.4g} rad/s"
+            found.append(Finding("below", self.peaks[BELOW].sigma, 1, below))
         if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:
             found.append(Finding("idle", self.value / problem.idle, IDLE))
         code, known = ("between", problem.M_max) if self.proven else ("samples", self.grid_M)
         passed = peak.sigma - known > COARSE * (1 - known)
         if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
-            found.append(Finding(code, peak.sigma, known, self._place(peak)))
+            found.append(Finding(code, peak.sigma, known, self.place(peak)))
         return found
 
     @cached_property
     def _doubts(self) -> list[Finding]:
         return doubts(self.problem.response)
 
-    def _place(self, peak):
+    def place(self, peak):
         """Where a peak is, and of which plant."""
         of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
     @cached_property
     def trial(self) -> tuple[int, float]:
-        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models."""
+        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models.
+
+        Of several plants it is the largest over all of them. The norms of those that cannot be the
+        worst are not computed to the end, see :mod:`.worst_trial`.
+        """
         problem = self.problem
         if None in problem.response.models or isinstance(problem.lowpass, SampledQ):
             return 0, np.nan
-        return settled_norm(problem.response.models, problem.lowpass, self.filter)
+        return settled_norm(problem.response.models, problem.lowpass, self.scaled_filter)
 
     def __repr__(self):
-        problem, peak = self.problem, self.highest_peak
-        near = self.grid.omega[self.worst.sigma >= 0.99 * peak.sigma]
-        at = np.append(near, peak.omega).min()
-        where = ", proven" if self.proven else f" {_span(problem.omega)}, estimated"
-        samples, norm = self.trial
-        gains = [
-            at_rest_in_words(problem.response),
-            f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s",
-            f"where P lags by {problem.delay} samples",
-            f"sigma_max(L) {self.all_L:.3g}",
-        ]
-        gains += [f"norm of a trial of {samples} samples {norm:.3g}"] if samples else []
-        assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
-        lines = [
-            f"rate at most {self.rate:.4f}{self._whom()}, at all frequencies{where}; largest "
-            f"near {float(f'{at:.2g}'):g} rad/s",
-            *([repr(self.margins)] if self.rate <= 1 + CLOSE else []),
-            ", ".join(gains),
-            "; ".join([self._limits(), *self._mean()]),
-            *(
-                f"P passes nothing {self._place(peak)}: M is |Q| for any L, and the error stays"
-                for how, peak in self.peaks.items()
-                if how == DEAF
-            ),
-            *(text for text in problem.assumptions if text not in assumed),
-            *(["assumptions: .certificate.details"] if assumed else []),
-        ]
-        return "\n".join([*lines, *self._against()])
+        return report.printed(self)
 
     @property
     def details(self) -> str:
@@ -238,8 +254,8 @@ class Certificate:
         The peaks of sigma_max(M) are for all plants within the radius: on the grid, which holds
         omega and whatever needed bounds beside it; proven at all frequencies, of the plants that
         are models, without the radius; estimated on a dense grid from the first to the last of
-        omega; assumed above the last sample. Below the first sample nothing is known, nor of
-        resonances that none shows.
+        omega; assumed below the first sample and above the last one. Nothing is known of
+        resonances that no sample shows.
 
         The lower bound of the objective holds for any filter of this structure and order that
         keeps the bounds on that grid, where they are lower than asked for because of what lies
@@ -247,59 +263,12 @@ class Certificate:
         without L_max, up to a gain of `MOST_GAIN` of Q P L, see :mod:`.problem.problem`. It is NaN
         where nothing was optimised.
         """
-        problem, peaks = self.problem, self.peaks.items()
-        table = [
-            (problem.M_max, "M_max"),
-            *((peak.sigma, f"sigma_max(M), {how}, {self._place(peak)}") for how, peak in peaks),
-            (problem.L_max or np.inf, "L_max"),
-            (self.grid_L, "sigma_max(L), on the grid"),
-            (self.all_L, "sigma_max(L), at all frequencies"),
-            (self.value, "objective"),
-            (self.lower_bound, "lower bound of the objective"),
-        ]
-        lines = [f"{value:<11.5g}{what}" for value, what in table]
-        return "\n".join([*lines, *self._mean(), *problem.assumptions, *self._against()])
+        return report.details(self)
 
-    def _against(self) -> list[str]:
-        """Warnings and failures."""
-        warnings = [f"WARNING: {found}" for found in self.warnings]
-        return warnings + [f"FAILS: {found}" for found in self.failures]
-
-    def _whom(self):
-        """For which plants the rate is."""
-        count = len(self.problem.plants)
-        of = f" of {count} plants" if count > 1 else ""
-        if self.problem.radius is not None:
-            return f" for every plant within the radius{of}"
-        return f" for each{of}" if of else ""
-
-    def _mean(self) -> list[str]:
-        """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
-        objective, mean, rms = self.problem.objective, self.mean_M, self.predicted
-        nominal = " of the nominal plant" if self.problem.robust else ""
-        if rms:
-            trials = ", ".join(f"{rms[k]:.3g} in trial {k}" for k in (1, 2, 3, 5, 10))
-            return [f"predicted RMS of the error{nominal}: {trials}"]
-        if objective.kind != "sum" or np.isnan(mean):
-            return []
-        return [f"mean of sigma_max(M){nominal} over the band: {mean:.4f}, {_span(objective.band)}"]
-
-    def _limits(self):
-        """Which bounds limit the optimum; without them, no other than the filter's size."""
-        problem, grid = self.problem, self.grid
-        if np.isnan(self.lower_bound):
-            return "L = B by its formula, K = 1: nothing was optimised"
-        reached = {"M_max": self.grid_M / grid.M_max, "L_max": self.grid_L / (grid.L_max or np.inf)}
-        limits = [f"{k} = {getattr(problem, k):g}" for k in reached if reached[k] > 1 - TIED]
-        size = f"order = {problem.order}"
-        if problem.base is not None:
-            size += f" of K in L = B K, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
-        return f"limited by {', '.join([*limits, size])}"
-
-
-def _span(omega):
-    """The first and the last of some frequencies."""
-    return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
+    @property
+    def rate_above(self) -> float:
+        """The rate without what is assumed below the first sample."""
+        return highest([peak for how, peak in self.peaks.items() if how != BELOW]).sigma
 
 
 def check(
@@ -316,12 +285,12 @@ def check(
     return Certificate(
         problem,
         grid,
-        L,
-        grid.objective.value(largest_singular_values(grid.M(response)), worst.sigma),
-        worst,
-        {"on the grid": on_grid} | peaks_of_M(problem, L, on_grid.sigma),
-        largest_singular_values(response).max(),
-        lower_bound,
+        scaled_filter=L,
+        value=grid.objective.value(largest_singular_values(grid.M(response)), worst.sigma),
+        worst=worst,
+        peaks={"on the grid": on_grid} | peaks_of_M(problem, L, on_grid.sigma),
+        sigma_L=largest_singular_values(response),
+        lower_bound=lower_bound,
     )
 
 

@@ -8,6 +8,7 @@ import scipy.sparse.linalg as sparse
 from scipy.sparse import diags_array, eye_array
 
 from ilctools import arguments
+from ilctools.evidence.worst_trial import largest_trial_norm
 from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.signals import check_match
@@ -165,12 +166,15 @@ def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float
     """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm.
 
     At least twice as long as the plants delay, or no trial would show what v does.
+    Of all plants, by iterations that run together where there are several.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
     settled = max(10 * settled, *(2 * _delay(P) for P in plants))
     samples = int(min(settled + SHORTEST, LONGEST / L.channels))
-    return samples, max(trial_norm(P, Q, L, samples)[0] for P in plants)
+    if len(plants) == 1:
+        return samples, trial_norm(plants[0], Q, L, samples)[0]
+    return samples, largest_trial_norm(plants, Q, L, samples)
 
 
 def _delay(P):

@@ -23,7 +23,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
             = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
             <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
 
-    with nuclear norms |.|, W of :attr:`.Problem.weight`, the matrices G = F + T L
+    with nuclear norms |.|, W of :attr:`.Problem.L_bound`, the matrices G = F + T L
     of :class:`.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where
     |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
     and so are the b_c. For the peak, they are no larger than the objective itself.
@@ -54,7 +54,7 @@ def _parts(problem, U, V, cuts):
     F, T = problem.affine(0, every, None)
     parts = [(F, by_K(T, every), U, every)]
     if V is not None:  # in units of the bound: the size of the objective
-        W = problem.weight
+        W = problem.L_bound
         parts.append((0 * W, W, np.linalg.solve(W, V), every))
     if cuts is not None:
         F, T = problem.affine(cuts.plant, cuts.frequency, problem.radius)

@@ -58,6 +58,7 @@ from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
 from ilctools.singular_values import TIED, largest_singular_values
 
+FINE = 0.01  # in phi, of a grid on which a peak is read off: crests between are 1e-5 higher
 STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
 # where the peak may be higher than all values so far, each step is divided, and again: h is then
 # 0.002, and the bound 5e-7 above the peak
@@ -66,16 +67,28 @@ MOST = 300_000  # frequencies in a pass: fewer passes, where a base of thousands
 CLOSE = 1e-6  # relative, by how much such a bound may be above the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 DEAF, NOTHING = "where P passes nothing", 1e-3  # of P L
+BELOW = "assumed below the first sample"
 DENSER = 10  # the grid between the samples, against theirs
 
 
-def peak_of_L(L: LearningFilter) -> tuple[float, float]:
-    """Peak over all frequencies of sigma_max(L), and where it is."""
+def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
+    """Peak of sigma_max(L) over all frequencies from the lowest on, and where it is.
+
+    Proven over all frequencies. From another lowest one on, it is the largest value on a grid with
+    steps of `FINE` in the phase of L, and at the tops of its crests.
+    """
 
     def sigma(omega):
         return largest_singular_values(in_parts(L.frequency_response, omega, 4 * LONG))
 
-    return proven_peak(sigma, L.poles, L.Ts)
+    if lowest <= 0:
+        return proven_peak(sigma, L.poles, L.Ts)
+    grid = phase_grid([L.poles], max(FINE, float(phase(L.poles, np.array([np.pi]))[0]) / MOST))
+    omega = np.append(lowest, grid[grid > lowest * L.Ts] / L.Ts)
+    values = sigma(omega)
+    if len(crests := tops(omega, values, NEAR * values.max())):
+        omega, values = np.append(omega, crests), np.append(values, sigma(crests))
+    return float(values.max()), float(omega[values.argmax()])
 
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
@@ -131,10 +144,11 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
 
     Proven is that of the plants that are models, without the radius, if Q is one, too; where P
     passes nothing M is |Q| for any L, and that peak is named `DEAF` instead. Else it is
-    estimated between the frequencies, and assumed above P's last: on a dense grid and, near the
-    level or above, at the tops of its crests; below only bounded.
+    estimated between the frequencies, and assumed above P's last and, named `BELOW`, below P's
+    first: on a dense grid and, near the level or above, at the tops of its crests; where it is
+    lower, only bounded.
     """
-    peaks = {"proven": [], DEAF: [], "estimated": [], "assumed": []}
+    peaks = {"proven": [], DEAF: [], "estimated": [], BELOW: [], "assumed": []}
     for k, model in enumerate(problem.response.models):
         if model is not None and isinstance(problem.lowpass, ZeroPhaseButterworth):
             peak = Peak(*peak_of_M(model, L, problem.lowpass), k)
@@ -147,20 +161,25 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
 
 
 def estimated_peaks(problem: Problem, L, level, k):
-    """Those of plant k between the frequencies and above P's last, and how they are known."""
+    """Those of plant k between, below and above P's frequencies, and how they are known."""
     response = problem.response
 
     def sigma_M(omega):
         (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
         of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-        return within_radius(P, Q, of_L, radius, level)
+        sigma = within_radius(P, Q, of_L, radius, level)
+        if (low := response.unsampled(k, omega)).any():
+            region, Q, of_L = response.below(k, omega[low]), Q[low], of_L[low]
+            moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
+            sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
+        return sigma
 
     omega = dense_grid(response, k, L)
     sigma = sigma_M(omega)
     if len(top := tops(omega, sigma, NEAR * level)):
         omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
-    known = omega <= response.omega[-1]
-    for how, there in (("estimated", known), ("assumed", ~known)):
+    below, above = response.unsampled(k, omega), omega > response.omega[-1]
+    for how, there in (("estimated", ~below & ~above), (BELOW, below), ("assumed", above)):
         if there.any():
             at = np.where(there, sigma, -1).argmax()
             yield how, Peak(float(sigma[at]), float(omega[at]), k)
@@ -196,7 +215,11 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
         further = further[further < last]
     else:
         further = np.append(further, np.nextafter(last, np.inf))
-    return np.union1d(subdivided(response.omega, DENSER), further[further > first])
+    known = subdivided(response.omega, DENSER)
+    if model is None and first > 0:
+        known = np.concatenate([np.linspace(0, np.nextafter(first, 0), 1 + DENSER), known])
+        return np.union1d(known, further)
+    return np.union1d(known, further[further > first])
 
 
 def highest(peaks: list[Peak]) -> Peak:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ilctools import arguments
-from ilctools.filters import LearningOperator, ZeroPhaseButterworth
-from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
+from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning
+from ilctools.law.limits import WEIGHT, Actuators, LimitsOf, check_solver, projected, stated_limits
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
 
@@ -37,10 +37,11 @@ class Law:
     gain : float
         Learning gain a, in (0, 1].
     limits : dict, optional
-        Lowest and highest command, by the names of the loop's commands, in their units: v is then
-        projected onto what can be applied. {} stands for none; None, too, but
-        :func:`ilctools.record` takes those of the rig. Where an actuator is limited in its rate,
-        let the reference rise as slowly.
+        Lowest and highest command, by the names of the loop's commands, in their units. The law
+        then projects v onto what can be applied. {} stands for no limits at all, also on a rig that
+        has some. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere there
+        are none; the attribute is then :attr:`.LimitsOf.RIG`. Where an actuator is limited in its
+        rate, let the reference rise as slowly.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without one to theirs, and refuse a law for another.
@@ -74,7 +75,7 @@ class Law:
     L: LearningOperator | Any
     rest: int = 0
     gain: float = 1.0
-    limits: dict[str, tuple[float, float]] | None = None
+    limits: dict[str, tuple[float, float]] | LimitsOf | None = None
     loop: Loop | None = None
     region: Any = field(default=None, repr=False)
     labels: Signals | None = field(default=None, repr=False)
@@ -85,17 +86,17 @@ class Law:
                 f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which runs in both "
                 "directions: zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
             )
-        for name, kind in {"L": LearningOperator, "loop": Loop}.items():
-            if getattr(self, name) is not None:
-                arguments.instance(name, getattr(self, name), kind)
+        if self.L is not None:
+            check_learning(self.L)
+        if self.loop is not None:
+            arguments.instance("loop", self.loop, Loop)
         check_match(Q=self.Q, L=self.L, law=self.labels, loop=self.loop)
         vars(self).update(
             rest=arguments.whole("rest", self.rest, 0),
             gain=arguments.number("gain", self.gain, "in (0, 1]", 0, most=1),
         )
-        if self.limits is not None:
-            commands = getattr(self.loop, "commands", None)
-            vars(self)["limits"] = named_limits("limits", self.limits, commands)
+        commands = getattr(self.loop, "commands", None)
+        vars(self)["limits"] = stated_limits(self.limits, commands)
 
     @property
     def Ts(self) -> float:
@@ -114,16 +115,30 @@ class Law:
             return self.L.channels
         return self.outputs and len(self.outputs)
 
+    @property
+    def known_limits(self) -> dict[str, tuple[float, float]]:
+        """The limits that hold before a rig states its own: {} for none."""
+        return {} if self.limits is LimitsOf.RIG else self.limits
+
+    def on_rig(self, limits: dict[str, tuple[float, float]]) -> "Law":
+        """This law on a rig with these limits: they hold where the law does not state its own.
+
+        A law whose limits are {} has none at all, whatever the rig follows.
+        """
+        if self.limits == {}:
+            return self
+        return replace(self, limits=limits | self.known_limits)
+
     @cached_property
     def actuators(self) -> Actuators | None:
         """What the limits make of commands; None without limits."""
-        if not self.limits:
+        if not self.known_limits:
             return None
         if self.loop is None:
             raise ValueError("limits need the law's loop: law.bound_to(loop)")
         if self.L is not None:
             check_solver(self.loop)
-        return Actuators.of(self.limits, self.loop)
+        return Actuators.of(self.known_limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":
         """This law for a loop; a ValueError if it is for another."""
@@ -180,7 +195,8 @@ class Law:
         Raises
         ------
         ValueError
-            If signals do not fit the law, or limits lack a loop or u.
+            If signals do not fit the law, or are so large that the next v is not finite, or if
+            limits lack a loop or u.
         RuntimeError
             If the solver fails.
         """
@@ -192,7 +208,9 @@ class Law:
         e = arguments.in_columns("e", e, v.shape, names)
         rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
         v, applied = self.applied(v, u, applied)
-        following = (1 - a) * v + a * self.Q.apply(v + self.L.apply(e))  # (23)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+            learned = _finite(v + self.L.apply(e))
+            following = _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
         following[..., v.shape[-2] - rest :, :] = 0
         if self.actuators is not None:
             weight = getattr(self.L, "weight", WEIGHT)
@@ -224,3 +242,13 @@ class Law:
         else:
             applied = arguments.in_columns("applied", applied, v.shape, commands)
         return self.loop.realised(v, u, applied), applied
+
+
+def _finite(signal):
+    """The signal; a ValueError if it overflowed, for it would go to actuators."""
+    if not np.isfinite(signal).all():
+        raise ValueError(
+            f"v or e is too large: the next v would exceed {np.finfo(float).max:.2g}. Check the "
+            "units, and whether the trials have diverged"
+        )
+    return signal

@@ -9,6 +9,7 @@ the stages of the loop, one for each sample; PIQP solves it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from scipy import sparse
@@ -29,6 +30,22 @@ REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it fro
 CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
 UNLIMITED = (-np.inf, np.inf)
 WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
+
+
+class LimitsOf(Enum):
+    """Who states the limits of a law that states none itself; there is one answer."""
+
+    RIG = "rig"  # the rig that it runs on; without a rig there are no limits
+
+    def __repr__(self):
+        return "the rig's"
+
+
+def stated_limits(limits, names: Sequence[str] | None):
+    """Limits of a law, checked: a dict, where {} stands for none at all; None: those of the rig."""
+    if limits is None or limits is LimitsOf.RIG:
+        return LimitsOf.RIG
+    return named_limits("limits", limits, names)
 
 
 def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tuple[float, float]]:

@@ -5,25 +5,29 @@ An excitation is noted by :mod:`ilctools.measurement.excitation`.
 
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 
 import control
+import numpy as np
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.base import RegularisedInverse
+from ilctools.base import RegularisedInverse, isometry
 from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import keep_others, regular, write_whole
 from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
-from ilctools.law.limits import named_limits
+from ilctools.law.limits import LimitsOf, named_limits
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.signals import Signals, check_match
 
-FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
-DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
-KEYS = ("Q", "L", *DEFAULTS)
+FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file, see `is_newer`
+# What is not noted, in a file and in a log; step is the learning gain, actuators are the limits.
+# A file leaves them to the rig, if it does not say {}; a log was made within those that it names.
+OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG}
+OF_LOG = OF_FILE | {"actuators": {}}
+KEYS = ("Q", "L", *OF_LOG)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 RESET = "reset"  # the note that says that there was none between trials, NO_RESET
 NO_RESET = "none: a trial starts where the last one ended"
@@ -79,14 +83,19 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
     return read_note(trials, "loop", read)
 
 
-def law_notes(law: Law) -> dict:
-    """A law by the keys of its file; without L where that has no coefficients."""
+def is_newer(note: str) -> bool:
+    """Whether a note says what the first format cannot: L looks back, or has a base."""
+    return '"first":' in note
+
+
+def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
+    """A law by the keys of its file, but for what is `usual`; no L that has no coefficients."""
     Q, L = law.Q, law.L
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
     if L is None or isinstance(L, Filter):
         notes["L"] = L and _filter_note(L)
-    others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
-    return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
+    others = {"rest": law.rest, "step": law.gain, "actuators": law.limits}
+    return notes | {key: value for key, value in others.items() if value != usual[key]}
 
 
 def _filter_note(L):
@@ -95,7 +104,16 @@ def _filter_note(L):
     note = {"coefficients": K.coefficients, "ends": K.ends}
     if K.first == 1 and B is None:
         return note
-    return note | {"first": K.first, "base": B and {"b": B.b, "scale": B.scale, "P": B.P}}
+    return note | {"first": K.first, "base": B and _base_note(B)}
+
+
+def _base_note(B):
+    """A base, with E where it does not follow from the shape of P."""
+    note = {"b": B.b, "scale": B.scale, "P": B.P}
+    copies, rest = divmod(B.P.noutputs, B.channels)
+    if not rest and np.array_equal(B.E, isometry(copies, B.channels)):
+        return note
+    return note | {"E": B.E}
 
 
 def _law_from(Ts, Q, L, rest, step, actuators):
@@ -111,7 +129,8 @@ def _filter_from(Ts, base=None, **taps):
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Note in the metadata which law (23) made the trials, and around which loop."""
-    texts = {key: text_of(note) for key, note in law_notes(law).items()}
+    made = replace(law, limits=law.known_limits)  # those of the rig hold on it alone
+    texts = {key: text_of(note) for key, note in law_notes(made, OF_LOG).items()}
     if law.loop is not None:
         texts["loop"] = loop_note(law.loop)
     return trials.assign_attrs(texts)
@@ -155,7 +174,7 @@ def law_of(trials: xr.Dataset) -> Law | None:
     loop = loop_of(trials)
     with reading("law"):
         notes = {key: json.loads(trials.attrs[key]) for key in KEYS if key in trials.attrs}
-        law = _law_from(trials.attrs["Ts"], **DEFAULTS | notes)
+        law = _law_from(trials.attrs["Ts"], **OF_LOG | notes)
         check_match(log=Signals.of_log(trials), law=law)
         return law if loop is None else law.bound_to(loop)
 
@@ -175,13 +194,13 @@ def save_law(path, law: Law, note: str = "") -> None:
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
         shape (m, m, order), ends; if it looks back or has a base, first and base: null, or b,
         scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
-        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
-        the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``, the
+        second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+        The actuators {} stand for no limits at all; without this key the limits are the rig's.
         Other keys are refused where it is read; of the sections, only docs/law.c checks that they
         are those of Q: who changes Q by hand saves the law anew.
     law : Law
-        L must be a LearningFilter, or B K of a design. The loop is not written. Limits {} are read
-        back as None: `record` then takes those of the rig.
+        L must be a LearningFilter, or B K of a design. The loop is not written.
     note : str
         What made it, for those who read the file.
 
@@ -202,7 +221,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     arguments.instance("L", arguments.instance("law", law, Law).L, Filter)
     arguments.instance("note", note, str)
     notes = law_notes(law)
-    content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}
+    content = {"format": FORMATS[is_newer(text_of(notes))], "Ts": law.Ts, **notes, "note": note}
     text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
     keep_others(path, text[: text.index("law")])  # raw data, say
     write_whole(path, text)
@@ -230,8 +249,7 @@ def load_law(path) -> Law:
         content = json.loads(regular(path).read_text(encoding="utf-8"))
         content = {key: content[key] for key in content if key not in ("note", "sections")}
         arguments.choice("format", content.pop("format"), FORMATS)
-        # a file without limits leaves them to the rig
-        return _law_from(**DEFAULTS | {"actuators": None} | content)
+        return _law_from(**OF_FILE | content)
     except (OSError, *MISUNDERSTOOD) as error:
         raise ValueError(
             shortened(

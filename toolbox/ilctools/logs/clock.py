@@ -10,13 +10,12 @@ import pandas as pd
 
 from ilctools.errors import LogError
 
-EXACT = 1e-3  # of Ts: jitter that is not worth a note
+NOTED = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ
 DRIFT = 0.01  # of Ts: by which the mean step may differ
-ROUNDING = 2e-3  # of the mean step: by which rounding may change it
+ROUNDED_STEP = 2e-3  # of the mean step: by which rounding may change it
 # In s. Clocks count from 1970, or 1904, or from the start of a program: none is in the year 5138.
 LATEST = 1e11
-YEAR = 365.25 * 86400  # s
 SINCE_1970 = 1e9, 1e10  # s: from September 2001 to 2286
 FINER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
 
@@ -30,7 +29,7 @@ def mean_step(table: pd.DataFrame) -> float:
     """The mean step of a clock, with the fewest digits that its scatter leaves; NaN of no step."""
     steps = steps_of(table)
     mean = float(steps.mean())
-    slack = min(steps.max() - steps.min(), ROUNDING * mean)
+    slack = min(steps.max() - steps.min(), ROUNDED_STEP * mean)
     rounded = (float(f"{mean:.{digits}e}") for digits in range(12))
     return next((Ts for Ts in rounded if abs(Ts - mean) <= slack), mean)
 
@@ -50,15 +49,11 @@ def check_start(start: float, second: float) -> None:
         return
     low, high = SINCE_1970
     count = start / second
-    fitting = [unit for unit, size in FINER.items() if low <= count * size < high]
-    remedy = (
-        f"it seems to count {fitting[0]} since 1970: state units={{'time': {fitting[0]!r}}}"
-        if fitting
-        else "state its unit, as units={'time': 'ms'}, or subtract its first entry"
-    )
-    raise LogError(
-        f"time: the clock begins at {count:.13g}, which would be {start / YEAR:.3g} years; {remedy}"
-    )
+    remedy = "state its unit, as units={'time': 'ms'}, or subtract its first entry"
+    for unit, size in FINER.items():
+        if low <= count * size < high:
+            remedy = f"it seems to count {unit} since 1970: state units={{'time': {unit!r}}}"
+    raise LogError(f"time: the clock begins at {count:.13g}, or {start:.3g} s; {remedy}")
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
@@ -91,7 +86,7 @@ def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
         raise LogError(
             f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts"
         )
-    if steps.empty or (steps - Ts).abs().max() <= EXACT * Ts:
+    if steps.empty or (steps - Ts).abs().max() <= NOTED * Ts:
         return {}
     return {
         "clock": f"steps from {steps.min():.4g} to {steps.max():.4g} s, median "

@@ -16,9 +16,10 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.files import keep_others, write_pieces
+from ilctools.law.notes import is_newer
 from ilctools.signals import SIGNALS, period_of
 
-# the second if the L that is noted looks back or has a base
+# the second where the note of L `is_newer`
 FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
 KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
@@ -73,9 +74,8 @@ def save_log(trials: xr.Dataset, path) -> None:
 def write_log(trials: xr.Dataset, path) -> None:
     """Write a log, whatever is there."""
     signals, Ts = signals_of(trials), period_of(trials)
-    newer = '"first"' in str(trials.attrs.get("L"))
     metadata = {
-        "format": FORMATS[newer],
+        "format": FORMATS[is_newer(str(trials.attrs.get("L")))],
         "Ts": f"{Ts!r} s",
         "signals": json.dumps(signals, ensure_ascii=False),
         **_free_metadata(trials.attrs),

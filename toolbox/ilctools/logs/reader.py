@@ -1,7 +1,6 @@
 """Reading logs: their metadata, their rows by pandas, trials with the clock that they need."""
 
 import json
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
@@ -20,6 +19,7 @@ from ilctools.logs.clock import check_trials, seconds
 from ilctools.logs.contents import text_in
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
 from ilctools.signals import dataset
+from ilctools.warn import warn
 
 # of pandas, which then warns of rows that are longer than the titles, and shifts no column
 OPTIONS = {"skipinitialspace": True, "index_col": False}
@@ -104,12 +104,10 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
         number = table["trial"]
         counts = number.value_counts(sort=False)
         if counts.iloc[-1] < counts.iloc[0]:
-            warnings.warn(
-                f"{path}: the last trial is shorter than the first, and left out", stacklevel=3
-            )
+            warn(f"{path}: the last trial is shorter than the first, and left out")
             table = table[number != counts.index[-1]]
         elif torn.strip() and not ended:
-            warnings.warn(f"{path}: the last line has no line feed, and is left out", stacklevel=3)
+            warn(f"{path}: the last line has no line feed, and is left out")
         notes = {key: value for key, value in metadata.items() if key not in KEYS}
         return trials_of(table, signals, Ts, notes)
 

@@ -18,13 +18,13 @@ from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.models import state_sequence
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import next_v
-from ilctools.trials.recorded import parts_of, runs
+from ilctools.trials.parts import from_rest_to_rest, parts_of
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
+from ilctools.warn import warn
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
 UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
@@ -53,11 +53,6 @@ class Replay:
         return self.trials.trial.values.tolist()
 
     @property
-    def complete(self) -> bool:
-        """Whether all trials from 1 on are there."""
-        return self.numbers == [*range(1, len(self.numbers) + 1)]
-
-    @property
     def model(self) -> control.StateSpace | None:
         """Model of what the commands drive: the plant; of a ClosedLoop P, whose input is w."""
         if self.loop is None:
@@ -75,7 +70,8 @@ class Replay:
     @cached_property
     def simulated(self) -> xr.Dataset | None:
         """The same experiment on the model: the law, the references and the disturbances."""
-        if self.law is None or self.model is None or not self.complete:
+        complete = self.numbers == [*range(1, len(self.numbers) + 1)]
+        if self.law is None or self.model is None or not complete:
             return None
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
@@ -100,14 +96,13 @@ class Replay:
             return None
         actuators = self.law and self.law.actuators
         known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
-        model, outputs = self.model, []
-        for run in runs(known):
-            applied = run.get("applied", self.loop.asked(run))
+        outputs = []
+        for part in from_rest_to_rest(known):
+            applied = part.get("applied", self.loop.asked(part))
             if actuators is not None:
                 applied = actuators.follow(applied)
-            inputs = np.hstack([applied, run["disturbance"]])[:, : model.ninputs]
-            x = state_sequence(model.A, inputs @ model.B.T, np.zeros(model.nstates))
-            outputs.append(x @ model.C.T + inputs @ model.D.T)
+            inputs = np.hstack([applied, part["disturbance"]]).T[: self.model.ninputs]
+            outputs.append(control.forced_response(self.model, inputs=inputs, squeeze=False).y.T)
         return np.reshape(outputs, known.y.shape)
 
     @property
@@ -279,9 +274,9 @@ def replay(trials: xr.Dataset) -> Replay:
     error = trials.reference - trials.y
     trials = trials.assign(e=error.assign_attrs(trials.y.attrs))
     law, loop = law_of(trials), loop_of(trials)
-    if law is not None and law.limits and (loop is None or loop.asked(trials) is None):
+    if law is not None and law.known_limits and (loop is None or loop.asked(trials) is None):
         law = None  # whose projection cannot be computed
     result = Replay(trials, loop, law, resets=RESET not in trials.attrs)
     for text in result.warnings:
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return result

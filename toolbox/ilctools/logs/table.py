@@ -12,7 +12,7 @@ from ilctools.arguments import ROLES
 from ilctools.errors import LogError
 from ilctools.files import regular
 from ilctools.logs.clock import check_start, mean_step, seconds
-from ilctools.logs.contents import known_encoding, text_in
+from ilctools.logs.contents import text_in
 from ilctools.logs.format import check_signals, few
 from ilctools.logs.reader import OPTIONS, about, numbers_in, trials_of
 from ilctools.signals import SIGNALS
@@ -112,42 +112,41 @@ def read_table(
     >>> log.attrs["Ts"], log.y.shape
     (0.5, (1, 3, 1))
     """
-    asked = {
-        "outputs": outputs,
-        "inputs": inputs,
-        "reference": reference,
-        "v": v,
-        "disturbances": disturbances,
-        "measured": measured,
-    }
-    asked = {
-        argument: arguments.by_name(argument, columns, columns)
-        for argument, columns in asked.items()
-        if columns is not None
-    }
+    asked = _asked(
+        outputs=outputs,
+        inputs=inputs,
+        reference=reference,
+        v=v,
+        disturbances=disturbances,
+        measured=measured,
+    )
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
-    is_frame = isinstance(path, pd.DataFrame)
-    source = "path" if is_frame else arguments.path("path", path)
+    given = isinstance(path, pd.DataFrame)
+    source = "path" if given else arguments.path("path", path)
+    notes = {} if given else {"origin": f"read from {source.name}"}
     with about(source):
-        if is_frame:
-            frame, notes = pd.DataFrame(path, **options), {}
-        else:
-            frame = _frame_of(regular(source), options)
-            notes = {"origin": f"read from {source.name}"}
+        frame = pd.DataFrame(path, **options) if given else _frame_of(regular(source), options)
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         Ts = arguments.sampling_period("Ts", Ts or mean_step(table))
         return trials_of(table, signals, Ts, notes)
 
 
+def _asked(**columns):
+    """The columns of each argument that is given, checked."""
+    return {
+        argument: arguments.by_name(argument, given, given)
+        for argument, given in columns.items()
+        if given is not None
+    }
+
+
 def _frame_of(file, options):
     """What pandas reads of a text file."""
-    encoding = options.get("encoding")
-    if encoding is not None:
-        known_encoding(encoding)
-    with text_in(file, encoding, "pass read_table(..., encoding={encoding!r})"):
+    remedy = "pass read_table(..., encoding={encoding!r})"
+    with text_in(file, options.get("encoding"), remedy):
         return pd.read_csv(file, **OPTIONS | options)
 
 

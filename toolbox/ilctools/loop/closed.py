@@ -299,11 +299,16 @@ def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
     The states c are x-hat and delta.
     """
-    plant, m = loop.plant, loop.plant.noutputs
-    n, B = plant.nstates, plant.B[:, :m]
-    extended = np.block([[plant.A, B], [np.zeros((m, n)), np.eye(m)]])
-    A = extended - np.pad(loop.KL @ plant.C, [(0, 0), (0, m)])
-    return A, np.pad(B, [(0, m), (0, 0)]), np.hstack([loop.Ks, np.eye(m)])
+    m = loop.plant.noutputs
+    B = loop.plant.B[:, :m]
+    Aa, Ca = with_disturbance(loop.plant.A, B, loop.plant.C)
+    return Aa - loop.KL @ Ca, np.pad(B, [(0, m), (0, 0)]), np.hstack([loop.Ks, np.eye(m)])
+
+
+def with_disturbance(A, B, C) -> tuple[np.ndarray, np.ndarray]:
+    """A_a and C_a of (15), with A_d = C_d = I: the states of the plant, then the disturbance."""
+    n, m = B.shape
+    return np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]), np.pad(C, [(0, 0), (0, m)])
 
 
 def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:

@@ -8,10 +8,10 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import LinAlgWarning, block_diag, matrix_balance, schur, solve_discrete_are
+from scipy.linalg import LinAlgWarning, block_diag, schur, solve_discrete_are
 
 from ilctools import arguments
-from ilctools.loop.closed import CurrentTrialLoop
+from ilctools.loop.closed import CurrentTrialLoop, with_disturbance
 from ilctools.models import Model, controls_first, sampled_plant
 
 
@@ -131,34 +131,18 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
 
 
 def _gains(A, B, C, Qs, Rs, Qo, Ro):
-    """K_s of (26), K_L of (29) and N, computed in even coordinates of the state."""
-    (n, m), (T, inverse) = B.shape, _even_coordinates(A, B, C)
-    A, B, C = inverse @ A @ T, inverse @ B, C @ T
-    Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
-    Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
-    Aa, Ca = _with_disturbance(A, B, C)
-    Ks = _gain(A, B, Qs, Rs, "Qs and Rs")  # (26)
-    KL = _gain(Aa.T, Ca.T, Qo, Ro, "Qo and Ro").T  # (29)
-    N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
-    return Ks @ inverse, Ta @ KL, N
-
-
-def _with_disturbance(A, B, C):
-    """A_a and C_a of (15), with A_d = C_d = I."""
-    n, m = B.shape
-    I, O = np.eye(m), np.zeros  # noqa: E741
-    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])  # (15)
-
-
-def _even_coordinates(A, B, C):
-    """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone."""
-    # Rounding depends on them: of a transfer function with lags that are slow beside Ts, the
-    # Riccati equations have no solution in its own coordinates.
-    n, m = B.shape
-    _, Z = schur(A, output="real")
-    plant = np.block([[Z.T @ A @ Z, Z.T @ B], [C @ Z, np.zeros((m, m))]])
-    _, (scale, _) = matrix_balance(plant, permute=False, separate=True)
-    return Z * scale[:n], Z.T / scale[:n, None]
+    """K_s of (26), K_L of (29) and N, computed where A is triangular."""
+    # Rounding depends on the coordinates of the state: of a transfer function with lags that are
+    # slow beside Ts, the Riccati equations have no solution in its own.
+    m = B.shape[1]
+    T, Z = schur(A, output="real")
+    Za = block_diag(Z, np.eye(m))
+    B, C, Qs, Qo = Z.T @ B, C @ Z, Z.T @ Qs @ Z, Za.T @ Qo @ Za
+    Ta, Ca = with_disturbance(T, B, C)  # (15)
+    Ks = _gain(T, B, Qs, Rs, "Qs and Rs")  # (26)
+    KL = _gain(Ta.T, Ca.T, Qo, Ro, "Qo and Ro").T  # (29)
+    N = np.linalg.inv(C @ np.linalg.solve(np.eye(len(T)) - T + B @ Ks, B))
+    return Ks @ Z.T, Za @ KL, N
 
 
 def _gain(A, B, Q, R, weights):

@@ -55,7 +55,7 @@ from ilctools.measurement.arx.unknowns import Kind
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
 # The first coefficient of an impulse response, relative to the sum of all: no plant has more than
-# WHOLE of it at once, nor HALF where u(t) explains ALMOST_ALL times the power that is left. Counted.
+# WHOLE of it at once, nor HALF where u(t) explains ALMOST_ALL times the power of the rest: counted.
 WHOLE, HALF, ALMOST_ALL = 1.1, 0.5, 1e6
 EXPLAINED = 1e-9  # relative: what others leave of a column, if it is no more than rounding
 CURVED = "the response to large inputs differs from that to small ones"

@@ -43,6 +43,7 @@ from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
 from ilctools.response.measured import CONFIDENCE, Measured
+from ilctools.response.samples import SAME
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
@@ -106,6 +107,17 @@ class EstimatedResponse(Measured):
     def known(self) -> np.ndarray:
         """Where P is identified, shape (n,), bool: its radius of 95 % is less than P."""
         return self.radius() < largest_singular_values(self.response)
+
+    @cached_property
+    def resolved(self) -> np.ndarray:
+        """Where a design may begin, shape (n,), bool: identified, and a period fits into a record.
+
+        A record of T seconds distinguishes frequencies that are 2 pi / T apart, as those of its
+        discrete Fourier transform are: below 2 pi / T it cannot tell a slow motion from an offset
+        or a drift, and the prior decides. If P is identified only there, it may begin there.
+        """
+        fits = self.omega >= 2 * np.pi / (self.record.longest * self.loop.Ts)
+        return self.known & fits if np.any(self.known & fits) else self.known
 
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
@@ -222,6 +234,12 @@ class EstimatedResponse(Measured):
             lines.append(
                 f"P is identified from {low:.3g} to {high:.3g} rad/s, at {self.known.mean():.0%}; "
                 "else the input had too little power, and what was assumed makes the radius"
+            )
+        first = self.omega[self.resolved][0]
+        if self.omega[self.known][0] < first <= omega[0] * (1 + SAME):
+            lines.append(
+                f"assumed: below {first:.3g} rad/s, of which no period fits into a record, P need "
+                "not be known for the cut-off and the filter"
             )
         return lines
 

@@ -9,7 +9,6 @@ import xarray as xr
 from scipy.fft import next_fast_len
 
 from ilctools import arguments
-from ilctools.labels import by_channel
 from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
@@ -136,26 +135,28 @@ def multisine(
     amplitude = _amplitudes(amplitude, loop)
     lines, seed = arguments.whole("lines", lines, 2), arguments.whole("seed", seed, 0)
     period = round(2 * np.pi / (lowest * Ts))
-    realisations, periods = _divided(hours, period * Ts * m / 3600, realisations, lowest)
-    harmonics = _harmonics(lines, int(highest * Ts * period / (2 * np.pi)), period)
+    hours_of_all_inputs = m * period * Ts / 3600
+    realisations, periods = _divided(hours, hours_of_all_inputs, realisations, lowest)
+    harmonics = _harmonics(period, highest * Ts, lines)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (realisations, m, len(harmonics)))
     phases = _with_low_peaks(phases, harmonics, m).tolist()
     return Excitation(Ts, period, periods, harmonics, phases, amplitude)
 
 
 def _amplitudes(amplitude, loop):
-    """Largest |w| of each input, of one number or of one for each input."""
+    """The largest |w| of each input."""
     m = len(loop.outputs)
-    amplitude = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
-    amplitude = by_channel("amplitude", amplitude, loop.outputs, loop.references)
-    amplitude = arguments.array("amplitude", amplitude, (m,)).tolist()
-    return [arguments.positive("amplitude", value) for value in amplitude]
+    each = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
+    each = arguments.by_channel("amplitude", each, loop.outputs)
+    each = arguments.array("amplitude", each, (m,)).tolist()
+    return [arguments.positive("amplitude", value) for value in each]
 
 
-def _harmonics(lines, highest, period):
-    """Of a period, evenly spaced on a logarithmic scale up to the highest one below Nyquist's."""
-    top = min(highest, (period - 1) // 2)
-    return np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
+def _harmonics(period, highest, lines):
+    """Numbers of the lines, evenly on a logarithmic scale, up to an angle below Nyquist's."""
+    below_nyquist = (period - 1) // 2
+    last = min(int(highest * period / (2 * np.pi)), below_nyquist)
+    return np.unique(np.round(np.geomspace(1, last, lines)).astype(int)).tolist()
 
 
 def _divided(hours, cycle, realisations, lowest):

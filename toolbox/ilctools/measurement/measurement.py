@@ -4,7 +4,6 @@ The notes of :func:`measured_response` state the methods.
 """
 
 import reprlib
-import warnings
 
 import control
 import numpy as np
@@ -12,7 +11,6 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.labels import is_labelled
 from ilctools.law.notes import limits_of, loop_of
 from ilctools.logs.format import few
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
@@ -20,6 +18,7 @@ from ilctools.measurement.excitation import excitation_of
 from ilctools.measurement.excited import ExcitedResponse, excited_response
 from ilctools.measurement.record import check_moved
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
+from ilctools.warn import warn
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
@@ -103,6 +102,11 @@ def measured_response(
     known disturbances did is no longer noise. Their units do not matter, nor do their offsets. A
     log of several that lacks a disturbance counts as one in which it rests.
 
+    A record of T seconds resolves frequencies from 2 pi / T on, of which a period fits into it.
+    Below, it cannot tell a slow motion from a drift. An estimate has a response and a radius there,
+    but :func:`synthesise` chooses cut-off and filter from 2 pi / T on, and then says what the
+    filter may do below.
+
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Where a log names its loop and limits, w is what asks for what was applied; of others,
     leave out trials in which commands were cut off. Of commands in a loop whose reference is in the
@@ -135,12 +139,6 @@ def measured_response(
         for name, value in asked.items():
             raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
         return _warned(tabulated(log, uncertainty))
-    if is_labelled(log) and np.ndim(log) == 3:
-        raise ValueError(
-            "log is a labelled array of a frequency response: synthesise takes it as P; for a "
-            "measured response, make control.frd(log.transpose('output', 'input', 'frequency')"
-            ".values, log.frequency.values, Ts) of it"
-        )
     logs = log if isinstance(log, list | tuple) and log else [log]
     for one in logs:
         if not isinstance(one, xr.Dataset):
@@ -167,7 +165,7 @@ def measured_response(
 def _warned(measured):
     """A response for whoever called the caller, with a warning for each of its findings."""
     for finding in measured.findings:
-        warnings.warn(finding, stacklevel=3)
+        warn(finding)
     return measured
 
 

@@ -14,7 +14,6 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.labels import INPUT, matched
 from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET, limits_of, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
@@ -72,7 +71,7 @@ class Record:
         inputs = loop.references if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
         _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
-        delay = _samples_of(matched("delay", delay, {INPUT: inputs}), len(inputs))
+        delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
         disturbances, known = _known_disturbances(moves, inputs)
         sizes = Sizes.of(moves)
         return cls(

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 
-from ilctools import arguments
-from ilctools.labels import FREQUENCY, matched
+from ilctools import arguments, labels
 from ilctools.loop.closed import ClosedLoop
 from ilctools.response.measured import Measured, radius_of, with_phase
 
@@ -56,7 +55,7 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     shape = len(omega), "m", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
     with_phase("log", P)
-    uncertainty = matched("uncertainty", uncertainty, {FREQUENCY: omega})
+    uncertainty, _ = labels.on("uncertainty", uncertainty, omega)
     radius = radius_of(0.0 if uncertainty is None else uncertainty, P)
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None

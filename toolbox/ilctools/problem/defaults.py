@@ -28,9 +28,16 @@ COMPARED = 500  # frequencies, at most: n of them take n^2 numbers of memory
 # The same where it decides b = 1 / (2 L_max) of L = B: M is 1 / (1 + 4 CLOSE^2) then.
 # Of 18 plants 8 and 16 leave the same but for noise, of which 16 learns more.
 CLOSE = 8
-# of the gain that inverts P at rest, there: beyond, what L gains is noise. Of the 32 plants of
-# `make measure WHAT=peers` 28, 30, 30 are within 1.2 of the best law without it, with 50, with 20
+# of the gain that inverts P at low frequencies, there: beyond, what L gains is noise. Of the 32
+# plants of `make measure WHAT=peers` 29 are within 1.2 of the best law without it, 31 with 15 or 20
 STATIC = 20
+# Low frequencies end at this share of the cut-off. With 1/50 to 1/30 the same 31 are within 1.2.
+# With the gain at rest in its place, 30; and of a plant whose time constants are 1 : 10,000, trial
+# 2 leaves 4 times what it could, or the bounds are infeasible.
+LOW = 1 / 30
+# of M_max: what b may leave of the error at any frequency. Without this, STATIC might make a design
+# infeasible. From 0.6 / 0.9 on it changes none of the 32 plants, with a half two.
+REMAINS = 2 / 3
 PASSES = 0.01  # of the largest sigma_min(P): what is less at rest passes nothing there
 
 
@@ -55,18 +62,39 @@ def at_rest(smallest) -> float:
     return float(smallest[0]) if smallest[0] > PASSES * smallest.max() else 0.0
 
 
-def gain(cutoff, smallest, omega, close=False) -> float:
+def gain(cutoff, smallest, omega) -> float:
     """ROOM times the largest gain that inverts P up to the cut-off, rounded up to one digit.
 
-    `smallest`, (n,): the smallest singular value of P at omega. Of L = B, if `close`: CLOSE times
-    that gain, and at most STATIC times that at rest.
+    `smallest`, (n,): the smallest singular value of P at omega.
     """
-    least = min([np.interp(cutoff, omega, smallest), *smallest[omega <= cutoff]])
-    if close:
-        return float(1 / max(least / CLOSE, at_rest(smallest) / STATIC))
-    exact = ROOM / least
+    exact = ROOM / _least(cutoff, smallest, omega)
     digit = 10.0 ** np.floor(np.log10(exact))
     return float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.0e}")
+
+
+def gain_of_base(cutoff, smallest, omega, Q, M_max) -> float:
+    """The bound on the gain of L = B, by which b = 1 / (2 L_max) is chosen.
+
+    CLOSE times the largest gain that inverts P up to the cut-off, and at most STATIC times the
+    largest that inverts P up to LOW of it. With the b of that, |Q| b^2 / (sigma^2 + b^2) stays of
+    the error, where sigma is the smallest singular value: if that were more than REMAINS M_max at
+    some frequency, b is as much smaller. Q, (n,): its size at omega.
+    """
+    slow = smallest[omega <= max(LOW * cutoff, omega[0])].min()
+    above = smallest[omega >= LOW * cutoff].max(initial=0)
+    by_noise = slow / (2 * STATIC) if slow > PASSES * above else 0.0  # else P passes nothing there
+    remains = REMAINS * M_max
+    passed = remains < Q
+    by_error = smallest[passed] * np.sqrt(remains / (Q[passed] - remains))
+    b = max(
+        _least(cutoff, smallest, omega) / (2 * CLOSE), min(by_noise, by_error.min(initial=np.inf))
+    )
+    return float(1 / (2 * b))
+
+
+def _least(cutoff, smallest, omega):
+    """The smallest singular value of P up to the cut-off."""
+    return min([np.interp(cutoff, omega, smallest), *smallest[omega <= cutoff]])
 
 
 def order(cutoff, delay, Ts, frequencies) -> int:

@@ -3,14 +3,16 @@
 With steps of h at most in the phase of the poles of Q, P and L, see :mod:`.evidence.peak`, what is
 M_max cos(h / 2) at most on a grid is M_max at most between its frequencies, and so is L. Samples
 have no poles: between them the grid is DENSER than theirs, and as dense as the poles of L ask for.
+Below the first sample no bound on M is added: the certificate alone says what may happen there.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ilctools.filters import ZeroPhaseButterworth
-from ilctools.problem.problem import Bounds, Problem
+from ilctools.problem.problem import Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.singular_values import largest_singular_values
 
@@ -24,33 +26,55 @@ DENSER = 10  # frequencies between two samples
 def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
     """The problem at all frequencies at which it needs bounds, and which of them were stated.
 
-    With `everywhere` these are bounds on M and L. Else on L, if omega is coarse for it, and above
-    the last sample of P, where only its size is known.
+    With `everywhere` these are bounds on M and L. Else they are bounds on L, if omega is coarse for
+    it, and above the last sample of P, where only its size is known.
     """
-    response, of_L, stated = problem.response, problem.poles_of_L, problem.omega
-    everywhere, last = problem.bounds.everywhere, stated[-1]
-    ends = np.concatenate([[0], response.angles, [np.pi]])
-    coarse = np.diff(phase(of_L, ends)).max() > COARSE and problem.L_max is not None
-    if not (everywhere or coarse or response.beyond is not None):
-        return problem, np.ones(len(stated), bool)
-    theta, h = _dense(problem)
-    lower, grid = np.cos(h / 2), problem
-    if everywhere or coarse:
-        M_max = problem.M_max * (lower if everywhere else 1)
-        bounds = Bounds(M_max, problem.L_max and problem.L_max * lower, everywhere)
-        denser = stated if problem.proven or not everywhere else subdivided(stated, DENSER)
-        omega = np.setdiff1d(np.append(theta / problem.Ts, denser), stated)
-        if response.beyond is not None:
-            omega = omega[omega < last]
-        grid = replace(_joined(problem, omega, *_between(problem, omega)), bounds=bounds)
-    if response.beyond is not None:
-        omega = np.append(np.nextafter(last, np.inf), theta[theta / problem.Ts > last] / problem.Ts)
-        grid = _joined(grid, omega, *_above(problem, omega, grid.M_max, lower))
-    return grid, np.isin(grid.omega, stated)
+    between = problem.bounds.everywhere or _is_coarse(problem)
+    if not between and problem.response.beyond is None:
+        return problem, np.ones(len(problem.omega), bool)
+    dense = _dense(problem)
+    grid = _bounded_between(problem, dense) if between else problem
+    if problem.response.beyond is not None:
+        grid = _bounded_above(grid, problem, dense)
+    return grid, np.isin(grid.omega, problem.omega)
 
 
-def _dense(problem):
-    """Angles from 0 to pi, and the largest step between them in the phase of what is bounded."""
+class Dense(NamedTuple):
+    """A grid that is dense in the phase of what is bounded."""
+
+    theta: np.ndarray  # angles from 0 to pi
+    shrink: float  # cos(h / 2), h its largest step: what a limit is on the grid, as a share
+
+
+def _is_coarse(problem):
+    """Whether L may pass a bound between the stated frequencies."""
+    ends = np.concatenate([[0], problem.response.angles, [np.pi]])
+    step = np.diff(phase(problem.poles_of_L, ends)).max()
+    return step > COARSE and bool(problem.bounds.on("L"))
+
+
+def _bounded_between(problem, dense) -> Problem:
+    """The problem with bounds between its frequencies, too, where P is known."""
+    everywhere, stated = problem.bounds.everywhere, problem.omega
+    denser = stated if problem.proven or not everywhere else subdivided(stated, DENSER)
+    first = [claim.lowest for claim in problem.bounds.on("L")]
+    omega = np.concatenate([dense.theta / problem.Ts, denser, first])
+    omega = np.setdiff1d(omega, stated)
+    if problem.response.beyond is not None:
+        omega = omega[omega < stated[-1]]
+    bounds = problem.bounds.lowered(dense.shrink, M=everywhere)
+    return replace(_joined(problem, omega, *_between(problem, omega)), bounds=bounds)
+
+
+def _bounded_above(grid, problem, dense) -> Problem:
+    """A grid of the problem with bounds above the last sample of P, too."""
+    last, omega = problem.omega[-1], dense.theta / problem.Ts
+    omega = np.append(np.nextafter(last, np.inf), omega[omega > last])
+    return _joined(grid, omega, *_above(problem, omega, grid.M_max, dense.shrink))
+
+
+def _dense(problem) -> Dense:
+    """The grid for the poles of L, and with `everywhere` for those of P and Q, too."""
     of_L, lowpass = problem.poles_of_L, problem.lowpass
     step, systems = ESTIMATED, [of_L]
     if problem.bounds.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
@@ -59,7 +83,8 @@ def _dense(problem):
         step = PROVEN if problem.proven else ESTIMATED
     turn = max(float(phase(poles, np.array([np.pi]))[0]) for poles in systems)
     theta = phase_grid(systems, max(step, turn / MOST))
-    return theta, np.max([np.diff(phase(poles, theta)).max() for poles in systems])
+    h = np.max([np.diff(phase(poles, theta)).max() for poles in systems])
+    return Dense(theta, np.cos(h / 2))
 
 
 def _between(problem, omega):
@@ -73,15 +98,15 @@ def _between(problem, omega):
     return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
 
 
-def _above(problem, omega, M_max, lower):
+def _above(problem, omega, M_max, shrink):
     """The same above the last sample, where P is zero with a radius, its size there."""
     response = problem.response
-    # M must keep its bound between these, too: Q falls, and L is larger by 1 / lower
+    # M must keep its bound between these, too: Q falls, and L is larger by 1 / shrink
     before = np.append(response.omega[-1], omega[:-1])
     Q = np.abs(problem.lowpass.frequency_response(before))
     models = [k for k, model in enumerate(response.models) if model is not None]
     sizes = [largest_singular_values(response.anywhere(k, omega)[0]) for k in models]
-    radius = np.max([response.beyond + 0 * omega, *sizes], axis=0) / lower
+    radius = np.max([response.beyond + 0 * omega, *sizes], axis=0) / shrink
     bounded = M_max > Q  # else no filter does: see `findings`
     P = np.zeros((len(response.P), len(omega), *response.P.shape[2:]))
     return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)

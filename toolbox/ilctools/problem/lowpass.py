@@ -7,7 +7,6 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
-from ilctools.labels import FREQUENCY, matched
 from ilctools.problem import defaults
 from ilctools.response.samples import Samples
 
@@ -39,7 +38,7 @@ class SampledQ:
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
     """The filter Q, or its samples on omega as one."""
     known = isinstance(Q, ZeroPhaseButterworth | SampledQ)
-    samples = Q.frequency_response(omega) if known else matched("Q", Q, {FREQUENCY: omega})
+    samples = Q.frequency_response(omega) if known else Q
     samples = arguments.array("Q", samples, (len(omega),), complex)
     if (largest := np.abs(samples).max()) > RIPPLE:
         raise ValueError(

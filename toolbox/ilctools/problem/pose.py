@@ -1,13 +1,16 @@
 """Stating a problem, each argument checked."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ilctools import arguments
 from ilctools.base import base_of_models, base_of_samples
 from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
+from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import lowpass_of
-from ilctools.problem.problem import Bounds, Objective, Problem
+from ilctools.problem.problem import Objective, Problem
 from ilctools.problem.reference import error_weights, first_error
 from ilctools.response.response import ROUNDING, Response
 from ilctools.singular_values import largest_singular_values
@@ -24,6 +27,7 @@ def pose(
     order=None,
     M_max=0.9,
     L_max=defaults.CHOOSE,
+    L_high=None,
     band=None,
     reference=None,
     structure="full",
@@ -36,7 +40,8 @@ def pose(
     lowpass = lowpass_of(Q, response.omega)
     cutoff, chosen = lowpass.cutoff, []
     pooled = base == defaults.CHOOSE
-    gain = _gain(response, cutoff, close=pooled)
+    M_max = checked_M_max(M_max)
+    gain = _gain(response, lowpass, M_max, pooled)
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     structure = arguments.choice("structure", structure, ["diagonal", "full"])
@@ -44,13 +49,28 @@ def pose(
     order = _order(response, cutoff, order, base, chosen)
     Q = lowpass.frequency_response(response.omega)
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
-    bounds = _bounds(M_max, L_max, everywhere, gain, pooled, chosen)
+    L_high = _bound_from(L_high, response)
+    bounds = replace(_bounds(M_max, L_max, everywhere, gain, pooled, chosen), L_high=L_high)
     if base is not None:
         base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
     return Problem(
-        response, lowpass, Q, objective, bounds, order, structure, base, chosen=tuple(chosen)
+        response,
+        lowpass,
+        Q,
+        objective,
+        bounds,
+        order,
+        structure,
+        base,
+        formula_will_do=pooled,
+        chosen=tuple(chosen),
     )
+
+
+def checked_M_max(M_max) -> float:
+    """The bound on sigma_max(M), in (0, 1)."""
+    return arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
 
 
 def _base(response, lowpass, structure, share, L_max, reach):
@@ -67,9 +87,8 @@ def _base(response, lowpass, structure, share, L_max, reach):
         b = share * largest_singular_values(response.P[0, below]).max()
         models, why = response.models[:1], f"{share:g} of its largest gain"
     exact = reach is None and None not in models and any(P.nstates for P in models)
-    if exact and pooled:
-        exact = sum(P.nstates for P in models) <= STATES
-    base = base_of_models(models, b, structure) if exact else None
+    most = STATES if pooled else np.inf
+    base = base_of_models(models, b, structure, most) if exact else None
     if base is None and (pooled or not exact):
         base = base_of_samples(response, lowpass, b, reach, len(models), structure)
     if base is None:
@@ -157,22 +176,39 @@ def _of_band(omega, cutoff, band, summed, chosen):
 
 def _bounds(M_max, L_max, everywhere, gain, close, chosen):
     """The bounds on sigma_max(M) and on sigma_max(L), which may be None."""
-    M_max = arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
     if L_max is not None:
         what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
         L_max = arguments.positive("L_max", L_max, what)
-    return Bounds(M_max, L_max, arguments.flag("everywhere", everywhere))
+    return Bounds(M_max, L_max, everywhere=arguments.flag("everywhere", everywhere))
 
 
-def _gain(response, cutoff, close):
-    """The default bound on L."""
+def _bound_from(L_high, response):
+    """A frequency and the bound on sigma_max(L) from there on, or None."""
+    if L_high is None:
+        return None
+    lowest, gain = arguments.array("L_high", L_high, (2,)).tolist()
+    if not 0 < lowest <= response.omega[-1] or gain <= 0:
+        raise ValueError(
+            f"L_high = ({lowest:g}, {gain:g}) must be a frequency from above 0 to the last one of "
+            f"omega, {response.omega[-1]:.6g} rad/s, and a positive bound on sigma_max(L) from "
+            "there on"
+        )
+    return lowest, gain
+
+
+def _gain(response, lowpass, M_max, pooled):
+    """The default bound on L; `pooled` says that it decides b of L = B."""
+    omega, cutoff = response.omega, lowpass.cutoff
     # What is not known beyond its radius is not worth inverting.
     radius = 0 if response.radius is None else response.radius
     smallest = np.maximum(_smallest_singular_values(response, cutoff), radius)
-    return defaults.gain(cutoff, smallest, response.omega, close)
+    if not pooled:
+        return defaults.gain(cutoff, smallest, omega)
+    Q = np.abs(lowpass.frequency_response(omega))
+    return defaults.gain_of_base(cutoff, smallest, omega, Q, M_max)
 
 
 def _smallest_singular_values(response, cutoff):

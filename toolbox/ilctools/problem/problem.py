@@ -8,7 +8,7 @@ M is affine in P. A bound on it for several plants, or for all within a radius o
 as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from ilctools.base import RegularisedInverse
 from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem import defaults
+from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import SampledQ
 from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
@@ -53,15 +54,6 @@ class Objective:
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """Within which it is minimised."""
-
-    M_max: float  # on sigma_max(M)
-    L_max: float | None  # on sigma_max(L)
-    everywhere: bool = False  # whether they hold between the frequencies, too
-
-
-@dataclass(frozen=True)
 class Problem:
     """The problem of a learning filter. Made by :func:`.pose.pose`, at the design frequencies.
 
@@ -76,7 +68,9 @@ class Problem:
     order: int  # number of samples that the learning filter looks ahead, or of those of K
     structure: str = "full"  # or "diagonal"
     base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
+    formula_will_do: bool = False  # whether L = B is wanted, if it keeps all bounds
     chosen: tuple[str, ...] = ()  # by default, in words
+    costs: tuple[Finding, ...] = ()  # of what was chosen, where they are large
 
     @property
     def M_max(self) -> float:
@@ -176,19 +170,32 @@ class Problem:
         return Q * np.eye(T.shape[1], self.channels), T
 
     @property
-    def weight(self) -> np.ndarray:
-        """W, shape (n, m, m), such that sigma_max(W L) <= 1 is the bound on L, or W K that on K.
+    def L_bound(self) -> np.ndarray:
+        """W, shape (n, m, m): sigma_max(W L) <= 1 is all bounds on L; or W K those on K.
 
-        That is I / L_max, (46). Without a bound, coefficients in doubles determine M to about 1e-9
-        only up to a gain of 1e7 of Q P L, counted for each input by itself: that is then the bound.
+        That is I over the least limit at each frequency, (46). Without a bound, coefficients in
+        doubles determine M to about 1e-9 only up to a gain of 1e7 of Q P L, counted for each input
+        by itself: that is then the bound. The least gain has L_max alone, see `L_bound_beside`.
         """
-        identity, L_max = np.eye(self.channels), self.L_max or np.inf
+        bounds, identity = self.bounds, np.eye(self.channels)
+        if self.objective.kind == "gain":
+            bounds = replace(bounds, L_high=None)
+        limit = bounds.limit_on_L(self.omega)
         if self.base is not None:  # sigma_max(B K) <= sigma_max(B) sigma_max(K)
-            return np.maximum(self.sigma_B / L_max, 1 / K_MAX)[:, None, None] * identity
-        if self.L_max is None:
+            return np.maximum(self.sigma_B / limit, 1 / K_MAX)[:, None, None] * identity
+        W = identity / limit[:, None, None]
+        if np.isinf(limit).any():
             gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
-            identity, L_max = np.diag(gains) / np.abs(self.Q).max(), MOST_GAIN
-        return np.broadcast_to(identity / L_max, self.P.shape)
+            free = np.diag(gains) / np.abs(self.Q).max() / MOST_GAIN
+            W = np.where(np.isinf(limit)[:, None, None], free, W)
+        return W
+
+    @property
+    def L_bound_beside(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where L has a bound beside the gain that is minimised, by number, and W, (k, m, m)."""
+        limit = replace(self.bounds, L_max=None).limit_on_L(self.omega)
+        at = np.flatnonzero(np.isfinite(limit) & (self.objective.kind == "gain"))
+        return at, np.eye(self.channels) / limit[at, None, None]
 
     @property
     def first(self) -> int:

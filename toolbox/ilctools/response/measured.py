@@ -5,7 +5,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ilctools import arguments
-from ilctools.labels import by_channel
 from ilctools.response.samples import Samples
 from ilctools.singular_values import largest_singular_values
 
@@ -23,7 +22,7 @@ class Measured:
     """
 
     findings = ()
-    estimated = True  # from a record, whose times give the frequencies their unit
+    estimated = True  # from a record, whose times give omega its unit; it says P at rest
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.
@@ -62,8 +61,8 @@ class Measured:
         """
         omega, own = np.abs(arguments.row("omega", omega)), self
         if scale is not None:
-            inputs, outputs = self.names
-            scale = by_channel("scale", scale, outputs, inputs)
+            _, outputs = self.names
+            scale = arguments.by_channel("scale", scale, outputs)
             own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
         return own._on(omega, probability(confidence))
 
@@ -71,16 +70,24 @@ class Measured:
         return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
 
     def _on(self, omega, confidence):
-        """As :mod:`.samples` says; beyond the ends all that is not larger than there."""
+        """As :mod:`.samples` says; above the last line all that is not larger than there."""
         samples = self._samples(confidence)
         P, radius = samples.at(omega)
-        return P, radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
+        radius = radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
+        if (below := samples.outside(omega) & (omega < samples.omega[0])).any():
+            region = samples.below(omega[below])
+            P[below], radius[below] = region.P, region.widest
+        return P, radius
 
     def _between(self, omega, confidence):
         """What is assumed there, in words."""
         yield "assumed: splines miss P by no more than they miss lines that are left out"
-        if outside := np.mean(self._samples(confidence).outside(omega)):
-            yield f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there"
+        samples = self._samples(confidence)
+        outside, below = samples.outside(omega), omega < samples.omega[0]
+        if np.any(outside & below):
+            yield samples.below_in_words
+        if above := np.mean(outside & ~below):
+            yield f"assumed: above, at {above:.0%} of omega, P is not larger than at the last line"
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
         """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""

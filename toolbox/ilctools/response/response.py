@@ -1,7 +1,8 @@
 """What is known of P: frequency responses of plants, between their frequencies and beyond.
 
-Models are known anywhere, samples as :mod:`.samples` says. Above the last sample P is zero with a
-radius, its size there.
+Models are known anywhere, samples between the first and the last as :mod:`.samples` says, and so
+below the first, but for a measured response that itself says what P is there. Above the last sample
+P is zero with a radius, its size there.
 """
 
 from dataclasses import dataclass, replace
@@ -11,11 +12,12 @@ import control
 import numpy as np
 
 from ilctools.models import frequency_response
-from ilctools.response.samples import Samples
+from ilctools.response.samples import Region, Samples
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
 ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
+LOW = 17  # frequencies from zero to the first one, at which a measured P is asked what it is there
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,7 @@ class Response:
     assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
     measured: bool = False  # whether the nominal P is an estimate, which knows its own frequencies
     one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
+    low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
 
     @property
     def sampled(self) -> bool:
@@ -61,6 +64,9 @@ class Response:
         omega, model, samples = np.asarray(omega), self.models[plant], self.samples[plant]
         if model is None:
             P, radius = samples.at(omega)
+            if (below := self.unsampled(plant, omega)).any():
+                region = self.below(plant, omega[below])
+                P[below], radius[below] = region.P, region.widest
             if self.beyond is not None:
                 unknown = omega > self.omega[-1]
                 P[unknown], radius[unknown] = 0, self.beyond
@@ -69,6 +75,32 @@ class Response:
         if self.radius is not None:
             radius = np.where(samples.outside(omega), 0, samples.radius_at(omega))
         return P, radius
+
+    def unsampled(self, plant: int, omega) -> np.ndarray:
+        """Which frequencies are below the first sample of a plant, (k,), bool."""
+        return (self.models[plant] is None) & (np.asarray(omega) < self.omega[0])
+
+    def below(self, plant: int, omega) -> Region:
+        """What is known or assumed of a plant below its first sample."""
+        if self.low is None:
+            return self.samples[plant].below(omega)
+        P, radius = self.low.at(omega)
+        return Region(P, np.eye(P.shape[-1]), 0.0, radius)
+
+    @property
+    def below_in_words(self) -> str | None:
+        """What is assumed below the first sample; None if P is known there."""
+        first = self.omega[0]
+        if not self.sampled or first <= 0:
+            return None
+        if self.low is None:
+            sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
+            return max(sampled, key=lambda samples: samples.moves).below_in_words
+        radius = self.low.at(np.linspace(0, first, LOW))[1].max()
+        return (
+            f"assumed: below {first:.4g} rad/s P is what the measured response says at rest and "
+            f"up to there, within {radius:.2g}"
+        )
 
     @property
     def beyond(self) -> float | None:
@@ -87,8 +119,10 @@ class Response:
 
     @property
     def assumed(self) -> tuple[str, ...]:
-        """What is assumed above the last sample and between them, in words."""
+        """What is assumed below the samples, above them and between them, in words."""
         texts, between = [], []
+        if self.below_in_words is not None:
+            texts.append(self.below_in_words)
         if self.beyond is not None:
             texts.append(
                 f"assumed: above {self.omega[-1]:.4g} rad/s, where P is not known, sigma_max(P) is "

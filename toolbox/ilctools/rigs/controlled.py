@@ -1,258 +1,126 @@
-"""A rig and its controller: ours, or the rig's; sample by sample."""
+"""A rig under its controller, sample by sample: read, check, command, limit, observe, apply."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from ilctools import arguments
 from ilctools.errors import RigError, StoppedError
-from ilctools.law.law import Law
-from ilctools.law.limits import UNLIMITED, named_limits
-from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
-from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
-from ilctools.rigs.limits import stop_limits
-from ilctools.rigs.protocol import Rig
-from ilctools.trials.learn import disturbances_of, joined
+from ilctools.law.limits import UNLIMITED
+from ilctools.rigs.controller import Controller
+from ilctools.rigs.description import RigDescription
+from ilctools.rigs.interrupts import Interrupts
+from ilctools.trials.learn import Part, joined
+from ilctools.trials.start import Start
 
-STILL = 0.1  # of a trial, for which outputs that are back must stand still
-LONGEST = 2.0  # trials, that is waited for this
+STANDSTILL = 0.1  # of a trial, for which outputs that are back must stand still
+LONGEST_PAUSE = 2.0  # trials, that is waited for this
 
 
-class Controller:
-    """Observer and state feedback of a loop, sample by sample, as on hardware.
+class Reading(NamedTuple):
+    """What a rig gave in a sample, checked."""
 
-    u = N w - K_s x-hat - delta, with the estimates x-hat of the states and delta of the disturbance
-    at the input, (16) and (18) of the paper, see :func:`current_trial_loop`.
+    y: np.ndarray
+    measured: dict[str, float]  # what else, by name
 
-    `command` and `observe` take loops side by side, too, by signals of shape (..., m).
 
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-    decimals : int, optional
-        To which commands are rounded. Default: not at all.
+@dataclass
+class RigState:
+    """What changes from sample to sample."""
 
-    See Also
-    --------
-    record : what runs it
-    current_trial_loop : its gains
-
-    Examples
-    --------
-    >>> import control
-    >>> A, B = [[1, 0.01], [0, 1]], [[0], [0.01]]  # a mass of 1 kg, F in N, x in m
-    >>> stage = control.ss(A, B, [[1, 0]], 0, 0.01, inputs=["F"], outputs=["x"])
-    >>> from ilctools import Controller, current_trial_loop
-    >>> loop = current_trial_loop(stage, ["F"])
-    >>> bool(Controller(loop).step(y=[0.0], w=[1.0]) == loop.N)
-    True
-    """
-
-    def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):
-        arguments.instance("loop", loop, CurrentTrialLoop)
-        if decimals is not None:
-            arguments.whole("decimals", decimals, 0, 300)
-        self.loop, self.decimals = loop, decimals
-        self._A, B, self._K = controller(loop)
-        self._B = np.hstack([B, loop.KL])
-        self._state, self._m = np.zeros(len(B)), len(loop.outputs)
-
-    @property
-    def delta(self) -> np.ndarray:
-        """The estimate of the input disturbance."""
-        return self._state[..., -self._m :]
-
-    def step(self, y, w) -> np.ndarray:
-        """The controls u(p) from the measured y(p) and w(p); advances the observer."""
-        y = arguments.array("y", y, (self._m,))
-        w = arguments.array("w", w, (self._m,))
-        u = self.command(w)
-        self.observe(y, u)
-        return u
-
-    def command(self, w) -> np.ndarray:
-        """The controls u(p), from w(p) and what is estimated."""
-        u = w @ self.loop.N.T - self._state @ self._K.T  # (18)
-        return _rounded(u, self.decimals)
-
-    def observe(self, y, applied) -> None:
-        """Advance the observer by the measured y(p) and the controls that were applied."""
-        inputs = np.concatenate([applied, y], axis=-1)
-        self._state = self._state @ self._A.T + inputs @ self._B.T  # (16)
+    controller: Controller | None  # ours; None if the rig has its own
+    due: float | None = None  # when the next sample is due, by the rig's clock; None: when it comes
+    late: list[float] = field(default_factory=list)  # by how much each sample is not on time, s
+    place: str = ""  # trial and sample, as errors say it
 
 
 class ControlledRig:
-    """A rig under its loop, by its methods read and apply: names, limits, decimals.
+    """A rig that runs: what is known of it, its state, and the signals that interrupt it."""
 
-    Parameters
-    ----------
-    rig : Rig
-    loop : CurrentTrialLoop or ClosedLoop
-        The controller is ours, which sends u, or the rig's, which takes w.
-    reference : ndarray, shape (trial, time, output)
-        Of all trials, from which limits of `stop` follow.
-    law : Law, optional
-        Bound to the loop. Without limits (None), it takes those of the rig.
-    stop, decimals : dict, optional
-        As for :func:`ilctools.record`.
-    goes_on : bool
-        Whether a trial starts where the last one ended.
-    """
+    def __init__(self, about: RigDescription):
+        self.about = about
+        self.state = RigState(self.new_controller())
+        self.interrupts = Interrupts(self.make_safe, about.methods.safe_time)
 
-    def __init__(
-        self,
-        rig,
-        loop: Loop,
-        reference,
-        law: Law | None = None,
-        stop: dict | None = None,
-        decimals: dict[str, int] | None = None,
-        goes_on: bool = False,
-    ):
-        if isinstance(arguments.instance("rig", rig, Rig), type):
-            raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
-        self.rig, self.loop, self.goes_on = rig, loop, goes_on
-        self.ours = isinstance(loop, CurrentTrialLoop)
-        self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
-        self.of_outputs = f"reading of {', '.join(self.outputs)}"  # as errors call it
-        self.find_signals()
-        self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
-        self.decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
-        for name, value in self.decimals.items():
-            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
-        limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
-        self.limits = {name: limits[name] for name in self.commands if name in limits}
-        if law is not None and law.limits != {}:  # which stands for none at all
-            law = replace(law, limits=self.limits | (law.limits or {}))
-        self.law, self.actuators = law, law and law.actuators
-        self.stop = stop_limits(stop, reference, loop, self.limits)
-        self.size = reference.shape[:2]  # trials, samples
-        self.clock, self.bring_back, self.leave_safe = (
-            getattr(rig, name, None) for name in ("clock", "begin", "safe")
-        )
-        safe_time = arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME))
-        self.interrupts = Interrupts(self.make_safe, safe_time)
-        self.late = []  # by how much each sample of the trial is off the rig's clock, s
-        self.place = ""  # trial and sample, for errors
-        self.reset()
+    def new_controller(self) -> Controller | None:
+        """A controller that knows nothing of what was before."""
+        about = self.about
+        return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
 
-    def find_signals(self) -> None:
-        """Which signals are sent, measured and recorded beside commands and outputs."""
-        loop, measured = self.loop, getattr(self.rig, "measured", {})
-        self.inputs = list(getattr(self.rig, "inputs", self.commands))
-        if missing := [name for name in self.commands if name not in self.inputs]:
-            raise ValueError(f"rig.inputs = {self.inputs} must name the commands {missing}")
-        self.reported = [] if self.ours else loop.controls  # u, by the rig
-        if missing := [name for name in self.reported if name not in measured]:
-            raise ValueError(f"rig.measured must have the controls {missing} of the loop")
-        # disturbances of the loop that are inputs, and those that are known
-        names = loop.disturbances
-        self.disturbed = [name for name in names if name in self.inputs]
-        self.recorded = [name for name in names if name in self.inputs or name in measured]
-        # what is measured, and as what it is recorded
-        self.signal_of = dict.fromkeys(set(self.recorded) - set(self.disturbed), "disturbance")
-        self.signal_of |= dict.fromkeys(self.reported, "u")
-        self.positions = [self.inputs.index(name) for name in self.commands + self.disturbed]
+    def begin(self, trial: int) -> None:
+        """Bring the rig to where trials begin, if it can; the controller then starts afresh."""
+        self.state.place = f"trial {trial}"
+        if self.about.methods.begin:
+            self.interrupts.call(self.about.methods.begin, trial)
+            self.state.controller, self.state.due = self.new_controller(), None
 
-    def reset(self) -> None:
-        """Forget what was before."""
-        self.controller = Controller(self.loop, self.decimals.get("u")) if self.ours else None
-        self.due = None  # when the next sample is due, by the rig's clock
-
-    def rounded(self, name, values) -> np.ndarray:
-        """A signal with as many digits as are recorded."""
-        return _rounded(values, self.decimals.get(name))
-
-    def commanded(self, disturbance) -> np.ndarray:
-        """The commands to the disturbances that are inputs, shape (trial, time, them)."""
-        names = self.loop.disturbances
-        d = disturbances_of(self.loop, disturbance, *self.size)
-        nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
-        if unknown := [name for name in nonzero if name not in self.recorded]:
-            raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")
-        return d[..., [names.index(name) for name in self.disturbed]]
-
-    def begin(self, trial) -> None:
-        """Bring the rig to where trials begin, if it can."""
-        self.place = f"trial {trial}"
-        if self.bring_back:
-            self.interrupts.call(self.bring_back, trial)
-            self.reset()
-
-    def pause(self, trial, samples, w, start) -> str:
+    def pause(self, trial: int, samples: int | None, w, start: Start) -> str:
         """Hold w before a trial for so many samples; None: until the rig stands at its start.
 
         Returns what there is to be warned of.
         """
-        flows, length, still = np.zeros(len(self.disturbed)), self.size[1], 0
-        longest = round(LONGEST * length) if samples is None else samples
+        flows, length, still = np.zeros(len(self.about.signals.commanded)), self.about.samples, 0
+        longest = round(LONGEST_PAUSE * length) if samples is None else samples
         for p in range(longest):
-            self.place = f"pause before trial {trial}, sample {p + 1}"
+            self.state.place = f"pause before trial {trial}, sample {p + 1}"
             y = self.sample(w, flows)["y"]
             still = still + 1 if start.near(y, w) else 0
-            if samples is None and still >= STILL * length:
+            if samples is None and still >= STANDSTILL * length:
                 return ""
         text = f"before trial {trial} the outputs were not back and still after {longest} samples"
         return text if samples is None else ""
 
-    def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
-        """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
-        self.place = f"trial {trial}"
-        if not self.goes_on:
-            self.due = None
+    def drive(self, trial: int, w, flows, bar, first: int = 0) -> Part:
+        """Drive the rig by w (time, channel) in a trial, from its sample `first` on.
+
+        Returns the signals of these samples but v and the reference, shape (time, channel).
+        """
+        self.state.place = f"trial {trial}"
+        if not self.about.goes_on:
+            self.state.due = None
         if not first:
-            self.late = []
+            self.state.late = []
         samples = []
         for p in range(len(w)):
-            self.place = f"trial {trial}, sample {first + p + 1}"
+            self.state.place = f"trial {trial}, sample {first + p + 1}"
             self.interrupts.call(self.check_clock)
-            samples.append(self.sample(w[p], commanded[p]))
+            samples.append(self.sample(w[p], flows[p]))
             bar.update()
         return joined(samples, np.array)
 
     def check_clock(self) -> None:
-        """Note by how much a sample is off the clock of the rig, if it has one."""
-        if self.clock:
-            now = float(self.reading("clock", self.clock(), ()))
-            due = now if self.due is None else self.due
-            self.late.append(abs(now - due))
-            self.due = due + self.Ts
+        """Note by how much a sample is not on time by the clock of the rig, if it has one."""
+        state, clock = self.state, self.about.methods.clock
+        if clock:
+            now = float(self.reading("clock", clock(), ()))
+            due = now if state.due is None else state.due
+            state.late.append(abs(now - due))
+            state.due = due + self.about.Ts
 
-    def sample(self, w, flows) -> dict[str, np.ndarray]:
-        """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        y, measured = self.interrupts.call(self.read)
-        self.check_stop(self.outputs, y)
-        signals, commands = {"y": y}, w
-        if self.controller:
-            signals["delta"] = self.rounded("delta", self.controller.delta)
-            signals["u"] = commands = self.controller.command(w)
-        elif self.reported:
-            signals["u"] = np.array([measured[name] for name in self.reported])
-        self.check_stop(self.commands, commands)
-        if self.actuators is not None:
-            commands = self.actuators.follow(commands)
-            if self.controller:
-                signals["applied"] = commands
-        if self.controller:
-            self.controller.observe(y, commands)
-        inputs = np.zeros(len(self.inputs))
-        inputs[self.positions] = np.concatenate([commands, flows])
-        self.interrupts.call(self.rig.apply, inputs)
-        if self.recorded:
-            measured |= dict(zip(self.disturbed, flows, strict=True))
-            signals["disturbance"] = np.array([measured[name] for name in self.recorded])
-        return signals
+    def sample(self, w, flows) -> Part:
+        """Let one sampling period pass; its signals but v and the reference."""
+        signals = self.about.signals
+        reading = self.interrupts.call(self.read)
+        self.check_stop(signals.outputs, reading.y)
+        delta, asked = self.command(w)
+        self.check_stop(signals.commands, asked)
+        applied = self.limit(asked)
+        self.observe(reading.y, applied)
+        self.apply(applied, flows)
+        return self.signals_of(reading, delta, asked, applied, flows)
 
-    def read(self) -> tuple[np.ndarray, dict[str, float]]:
+    def read(self) -> Reading:
         """The outputs, and what else is measured; nothing is used before it is checked."""
-        y, measured = self.rig.read(), self.rig.measured if self.signal_of else {}
+        signals, driver = self.about.signals, self.about.driver
+        y, measured = driver.read(), driver.measured if signals.measured_as else {}
         values = {
-            name: self.rounded(signal, float(self.reading(name, measured.get(name), ())))
-            for name, signal in self.signal_of.items()
+            name: self.about.rounded(signal, float(self.reading(name, measured.get(name), ())))
+            for name, signal in signals.measured_as.items()
         }
-        return self.reading(self.of_outputs, y, (len(self.outputs),)), values
+        return Reading(self.reading(signals.of_outputs, y, (len(signals.outputs),)), values)
 
-    def reading(self, name, values, shape) -> np.ndarray:
+    def reading(self, name: str, values, shape: tuple) -> np.ndarray:
         """What the driver gave, as an array; a RigError that says when, if it is none.
 
         For one output a number is enough, as :meth:`.Law.next` takes signals (time,) for it.
@@ -262,12 +130,12 @@ class ControlledRig:
                 values = [values]
             return arguments.array(name, values, shape)
         except ValueError as error:
-            raise RigError(f"{self.place}: {error}") from None
+            raise RigError(f"{self.state.place}: {error}") from None
 
-    def check_stop(self, names, values) -> None:
+    def check_stop(self, names: list[str], values: np.ndarray) -> None:
         """Stop at what is beyond the limits of `stop`."""
         for name, value in zip(names, values.tolist(), strict=True):
-            low, high = self.stop.get(name, UNLIMITED)
+            low, high = self.about.stop.get(name, UNLIMITED)
             if not low <= value <= high:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
                 raise StoppedError(
@@ -276,21 +144,58 @@ class ControlledRig:
                     "ones. In trial 1 without v it is the reference that leads there"
                 )
 
+    def command(self, w) -> tuple[np.ndarray | None, np.ndarray]:
+        """The estimate delta of the disturbance, and what is asked for: u by (18), or w itself.
+
+        A rig that has a controller of its own is asked for w; there is no delta then.
+        """
+        controller = self.state.controller
+        if controller is None:
+            return None, w
+        return self.about.rounded("delta", controller.delta), controller.command(w)
+
+    def limit(self, asked) -> np.ndarray:
+        """What actuators make of the commands asked for, if the law has limits."""
+        actuators = self.about.actuators
+        return asked if actuators is None else actuators.follow(asked)
+
+    def observe(self, y, applied) -> None:
+        """Inform our observer (16) of the outputs and of what is applied."""
+        if self.state.controller is not None:
+            self.state.controller.observe(y, applied)
+
+    def apply(self, applied, flows) -> None:
+        """Send the commands and the commanded disturbances; inputs that are neither are zero."""
+        inputs = np.zeros(len(self.about.signals.inputs))
+        inputs[self.about.signals.places] = np.concatenate([applied, flows])
+        self.interrupts.call(self.about.driver.apply, inputs)
+
+    def signals_of(self, reading: Reading, delta, asked, applied, flows) -> Part:
+        """The signals of a sample, as far as there are some."""
+        names, ours = self.about.signals, self.about.controller_is_ours
+        known = reading.measured | dict(zip(names.commanded, flows, strict=True))
+        reported = _values(known, names.controls)  # by a rig that has its own controller
+        signals = {
+            "y": reading.y,
+            "delta": delta,
+            "u": asked if ours else reported,
+            "applied": applied if ours and self.about.actuators is not None else None,
+            "disturbance": _values(known, names.disturbances),
+        }
+        return {name: values for name, values in signals.items() if values is not None}
+
     def make_safe(self) -> None:
         """Leave the rig in a safe state; an error there says so."""
         try:
-            if self.leave_safe:
-                self.leave_safe()
+            if self.about.methods.safe:
+                self.about.methods.safe()
             else:
-                self.rig.apply(np.zeros(len(self.inputs)))
+                self.about.driver.apply(np.zeros(len(self.about.signals.inputs)))
         except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
             raise
 
 
-def _rounded(values, decimals):
-    if decimals is None:
-        return values
-    # numpy rounds some decimals up that are just below a half
-    rounds = round if isinstance(values, float) else np.round
-    return rounds(values, decimals)
+def _values(known: dict[str, float], names: list[str]) -> np.ndarray | None:
+    """The values of these names; None if there are no names."""
+    return np.array([known[name] for name in names]) if names else None

@@ -11,9 +11,9 @@ from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, NO_RESET, RESET, with_law
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
-from ilctools.rigs.controlled import ControlledRig
+from ilctools.rigs.description import RigDescription, described
 from ilctools.rigs.protocol import Rig
-from ilctools.rigs.recording import Experiment
+from ilctools.rigs.trial_by_trial import Experiment
 from ilctools.signals import check_match
 from ilctools.trials.learn import asked_of, next_v
 
@@ -149,10 +149,10 @@ def record(
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, Filter)  # or the log could not note it
     reference, first = asked_of(loop, law, reference, trials, v, reset)
-    controlled = ControlledRig(rig, loop, reference, law, stop, decimals, goes_on=not reset)
-    law, pause = controlled.law, _checked_pause(pause, controlled)
-    check_match(law=law, rig=controlled)
-    commanded = controlled.commanded(disturbance)
+    about = described(rig, loop, reference, law, stop, decimals, goes_on=not reset)
+    law, pause = about.law, _checked_pause(pause, about)
+    check_match(law=law, rig=about)
+    flows = about.flows_of(disturbance)
 
     following = partial(next_v, law, first, reset)
     notes = with_law(xr.Dataset(), law).attrs
@@ -160,15 +160,15 @@ def record(
         notes[BEGUN] = "v of trial 1 was given"
     if not reset:
         notes[RESET] = NO_RESET
-    return Experiment(controlled, reference, commanded, following, notes).run(pause, path)
+    return Experiment(about, reference, flows, following, notes, pause).finish(path)
 
 
-def _checked_pause(pause, controlled):
+def _checked_pause(pause: int | None, about: RigDescription) -> int | None:
     """Samples between two trials; None: until the outputs are back."""
-    if controlled.goes_on and pause is not None:
+    if about.goes_on and pause is not None:
         raise ValueError(f"reset = False, but pause = {pause}: there is none, leave it out")
     if pause is None:
-        return 0 if controlled.bring_back else None
+        return 0 if about.methods.begin else None
     return arguments.whole("pause", pause, 0)
 
 
@@ -228,10 +228,13 @@ def shake(
     """
     arguments.instance("loop", loop, Loop)
     shaken = arguments.instance("excitation", excitation, Excitation).signals
-    controlled = ControlledRig(rig, loop, shaken, None, stop, decimals)
-    check_match(loop=loop, rig=controlled, excitation=excitation)
-    commanded = controlled.commanded(None)
-    notes = with_excitation(xr.Dataset(), excitation, loop, controlled.limits).attrs
-    following = lambda trials: shaken[len(trials)]  # noqa: E731
+    about = described(rig, loop, shaken, None, stop, decimals)
+    check_match(loop=loop, rig=about, excitation=excitation)
+    flows = about.flows_of(None)
+    notes = with_excitation(xr.Dataset(), excitation, loop, about.limits).attrs
+
+    def following(trials):
+        return shaken[len(trials)]  # whatever the trials before were
+
     reference = np.zeros(shaken.shape)
-    return Experiment(controlled, reference, commanded, following, notes).run(0, path)
+    return Experiment(about, reference, flows, following, notes, pause=0).finish(path)

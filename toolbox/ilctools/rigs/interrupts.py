@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 # a closed terminal, but on Windows; kill, a service's stop; Ctrl-C
-ENDS = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
+ENDING = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
 USUAL = (signal.SIG_DFL, signal.default_int_handler)
 SAFE_TIME = 10.0  # s, that safe() of a rig may take before a signal ends it
 WAIT = b"\nsignal noted, wait: the rig is being left safe\n"
@@ -36,7 +36,7 @@ class Interrupts:
         atexit.register(self.end_thread)
         # only the main thread can set handlers, and only of the main interpreter
         with suppress(ValueError):
-            for number in ENDS:
+            for number in ENDING:
                 handler = signal.getsignal(number)
                 if handler in USUAL or (number == signal.SIGINT and callable(handler)):
                     signal.signal(number, self.note)

@@ -5,8 +5,9 @@ from ilctools.law.limits import named_limits
 from ilctools.loop.closed import Loop
 from ilctools.trials.start import largest_by_unit
 
-FAR = 5.0  # times the largest reference that outputs may be beyond all references
-WIDE = 49.5  # times what an actuator spans, that commands may be beyond: a loop that works is not
+# Times what an actuator spans, that commands may be beyond: a loop that works is not.
+WIDE_COMMAND = 49.5
+FAR_OUTPUT = 5.0  # times the largest reference that outputs may be beyond all references
 
 
 def stop_limits(stop, reference, loop: Loop, followed) -> dict:
@@ -20,9 +21,9 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
     largest = largest_by_unit(values, loop)
     for name, column, size in zip(loop.outputs, values.T, largest, strict=True):
         if size:
-            limits[name] = column.min() - FAR * size, column.max() + FAR * size
+            limits[name] = column.min() - FAR_OUTPUT * size, column.max() + FAR_OUTPUT * size
     for name, (low, high) in followed.items():
-        beyond = WIDE * (high - low)
+        beyond = WIDE_COMMAND * (high - low)
         limits[name] = low - beyond, high + beyond
     names = [*loop.outputs, *loop.commands]
     asked = arguments.by_name("stop", stop, names)

@@ -5,16 +5,24 @@ largest if P passes nothing there, P reaches up to the frequency omega_1 where
 
     sigma(omega) < REACHED sigma_0.
 
-Beyond, what L gains is noise and what the model does not know. L is then bounded by
-STATIC / sigma_0. The plants P_k agree as far as the quadratic law B of all of them, with that
-bound, leaves |Q| d <= M_max, with what is left without Q,
+Beyond, what L gains is noise and what the model does not know. The bound on L will follow from the
+cut-off, and is STATIC / sigma_0 at least. The plants P_k agree as far as the quadratic law B of all
+of them, with that bound, leaves |Q| d <= M_max, with what is left without Q,
 
     d = max_k sigma_max(I - P_k B) + r sigma_max(B),
 
 r their radius. Of the Butterworth filter of order 2, Q = 1 / (1 + x^4) with
 x = tan(omega Ts / 2) / tan(cutoff Ts / 2), so that this is x >= (d / M_max - 1)^(1/4): one cut-off
 for each frequency, and the least of them counts. There is nothing to search.
+
+Which frequencies are asked is decided before: of an estimate from records, those of which a period
+fits into a record, see :attr:`.EstimatedResponse.resolved`. Among these a single one may decide.
+The frequencies beside it at which P is as weak, or as little known, belong to it. If P is strong
+and known again above them, they are a range whose price can be named: the cut-off that would follow
+without them.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,23 +36,113 @@ REACHED = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/perf
 SHARE = 0.9  # of M_max that may be used up by what the plants differ
 INSIDE = 0.5  # of the last sample, if it is below the Nyquist frequency: |Q| is 0.06 there
 HIGHEST = 0.9  # of the Nyquist frequency
+NAMED = 1.1  # a range of frequencies is named if the cut-off were this many times as high without
+COSTLY = 2.0  # and a warning tells of it from this factor on
 
 
-def reached(response: Response, M_max: float) -> float:
-    """The cut-off up to which P reaches and its plants agree, rad/s."""
-    omega, P, Ts, M_max = response.omega, response.P, response.Ts, SHARE * M_max
+class Cutoff(NamedTuple):
+    """A cut-off that is chosen, and what decided it."""
+
+    omega: float  # rad/s
+    reason: str  # what it follows from, in words
+    decisive: str = ""  # the range that decides, in words; empty if none is so narrow
+    without: float = np.inf  # the cut-off without that range, rad/s
+
+    @property
+    def costly(self) -> bool:
+        """Whether a narrow range lowers the cut-off so much that a warning is due."""
+        return bool(self.decisive) and self.without >= COSTLY * self.omega
+
+
+class _Limits(NamedTuple):
+    """What limits the cut-off, frequency by frequency."""
+
+    omega: np.ndarray  # (n,), rad/s
+    Ts: float  # s
+    weak: np.ndarray  # (n,), bool: P is below REACHED sigma_0
+    apart: np.ndarray  # (n,): d, in units of what M_max admits
+    highest: float  # rad/s, as P is known no further
+
+
+class _Least(NamedTuple):
+    """The least of the limits."""
+
+    omega: float  # rad/s
+    index: int | None = None  # of the frequency that decides; None if `highest` does
+    among: np.ndarray | None = None  # (n,), bool: where P is as weak, or as little known
+    last: int = 0  # number of the last frequency that was asked
+
+
+def reached(response: Response, M_max: float) -> Cutoff:
+    """The cut-off up to which P reaches and its plants agree, and what decided it."""
+    limits = _limits(response, SHARE * M_max)
+    nothing = np.zeros(len(limits.omega), dtype=bool)
+    least = _least(limits, nothing)
+    if least.index is None:
+        return Cutoff(least.omega, "the highest at which P is known well enough")
+    weak = bool(limits.weak[least.index] and limits.omega[least.index] == least.omega)
+    if weak:
+        reason, what = "by how far P reaches", "that P passes little"
+    elif response.radius is not None:
+        reason, what = "by how far P is known", "the radius of P"
+    else:
+        reason, what = "by how far the plants agree", "that the plants differ"
+    run = _run(least.among, least.index)
+    without = _least(limits, run).omega
+    if np.flatnonzero(run)[-1] >= least.last or without < NAMED * least.omega:
+        return Cutoff(least.omega, reason)
+    return Cutoff(least.omega, reason, f"{what} {_span(limits.omega[run])}", without)
+
+
+def _limits(response, M_max):
+    """What limits the cut-off: see the module."""
+    omega, P, Ts = response.omega, response.P, response.Ts
     values = np.linalg.svd(P, compute_uv=False)[..., -1].min(axis=0)
     rest = at_rest(values) or values.max()
-    below, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
-    below[:start] = False  # P passes nothing at rest
+    weak, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
+    weak[:start] = False  # P passes nothing at rest
     highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > 3 else INSIDE * omega[-1]
-    limits = [highest, *omega[below][:1]]
 
     r = 0 if response.radius is None else response.radius[:, None, None]
     B = quadratic_law(P, b=rest / (2 * STATIC))
     d = np.max([*map(largest_singular_values, np.eye(P.shape[-1]) - P @ B)], axis=0)
-    d = d + largest_singular_values(r * B)
-    at = (d > M_max) & (omega > omega[start]) & (omega <= limits[-1] / INSIDE) & (omega * Ts < 3)
-    x = (d[at] / M_max - 1) ** (1 / (2 * ORDER))
-    limits += (2 / Ts * np.arctan(np.tan(omega[at] * Ts / 2) / x)).tolist()
-    return float(min(limits))
+    apart = (d + largest_singular_values(r * B)) / M_max
+    apart[: start + 1] = 0
+    return _Limits(omega, Ts, weak, apart, highest)
+
+
+def _least(limits, left_out) -> _Least:
+    """The least limit, without some of the frequencies, (n,) bool."""
+    omega, Ts = limits.omega, limits.Ts
+    least, ends = _Least(limits.highest), limits.highest
+    weak = limits.weak & ~left_out
+    if weak.any():
+        ends = omega[weak][0]
+        if ends < least.omega:
+            least = _Least(float(ends), int(np.argmax(weak)), weak, len(omega) - 1)
+    asked = (omega <= ends / INSIDE) & (omega * Ts < 3)
+    apart = asked & (limits.apart > 1) & ~left_out
+    if apart.any():
+        x = (limits.apart[apart] - 1) ** (1 / (2 * ORDER))
+        each = 2 / Ts * np.arctan(np.tan(omega[apart] * Ts / 2) / x)
+        if each.min() < least.omega:
+            index = np.flatnonzero(apart)[each.argmin()]
+            last = np.flatnonzero(asked)[-1]
+            least = _Least(float(each.min()), int(index), apart, int(last))
+    return least
+
+
+def _run(among, index):
+    """The neighbours in a row, (n,) bool, to which a frequency belongs."""
+    others = np.flatnonzero(~among)
+    first = others[others < index].max(initial=-1) + 1
+    end = others[others > index].min(initial=len(among))
+    run = np.zeros(len(among), dtype=bool)
+    run[first:end] = True
+    return run
+
+
+def _span(omega):
+    """Where a range is, in words."""
+    low, high = (f"{end:.2g}" for end in omega[[0, -1]])
+    return f"at {low} rad/s" if low == high else f"from {low} to {high} rad/s"

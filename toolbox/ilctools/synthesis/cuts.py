@@ -15,12 +15,16 @@ from ilctools.synthesis.solver.interior_point import minimise
 PASSED = 1e-10  # relative violation that is rounding
 
 
-def solve(problem: Problem) -> Solution:
-    """Solve a problem at its frequencies; Infeasible if it is."""
+def solve(problem: Problem, nearby: Solution | None = None) -> Solution:
+    """Solve a problem at its frequencies; Infeasible if it is.
+
+    `nearby` is a filter that keeps the bounds, for where the solver does not find any by itself.
+    """
     plant, frequency = np.empty((2, 0), dtype=int)
     while True:
         formulation = formulate(problem, plant, frequency)
-        solution = formulation.solution(minimise(formulation.program))
+        x = None if nearby is None else formulation.x_of(nearby)
+        solution = formulation.solution(minimise(formulation.program, x))
         limit = solution.largest if problem.objective.kind == "peak" else problem.M_max
         of_plant, at = violated(problem, solution, limit, plant, frequency)
         if not len(at):

@@ -1,8 +1,7 @@
 """From the problem to a filter with its certificate: the way through the synthesis."""
 
-import warnings
 from dataclasses import replace
-from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,18 +9,22 @@ from ilctools import arguments
 from ilctools.base import in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
+from ilctools.evidence.finite import trial_norm
 from ilctools.filters import ZeroPhaseButterworth
+from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
-from ilctools.problem.pose import pose, refuse_singular
+from ilctools.problem.pose import checked_M_max, pose, refuse_singular
 from ilctools.problem.problem import Problem, Solution
-from ilctools.response.door import LOWEST, response_of
+from ilctools.response.door import LOWEST, Admitted, admitted
 from ilctools.singular_values import largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
+from ilctools.warn import warn
 
+LONGEST_REST = 0.1  # of a trial: what may be given up at its end so that it does not grow
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 
 
@@ -35,6 +38,7 @@ def synthesise(
     order=None,
     M_max=0.9,
     L_max: float | str | None = CHOOSE,
+    L_high: tuple[float, float] | None = None,
     band=None,
     reference=None,
     structure="full",
@@ -77,13 +81,16 @@ def synthesise(
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
         Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
         where P reaches: the least singular value of all plants is a tenth of what it is at rest
-        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If the
-        norm of a trial of ten times the settling time, or of 1000 samples over all channels, is one
-        or more, half of that cut-off.
+        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If a
+        narrow range of frequencies decides, the certificate names it, and the cut-off without it.
+        If the norm of a trial of ten times the settling time, or of 1000 samples over all channels,
+        is one or more, half of that cut-off; the certificate then says by how many samples of rest
+        at the end of a trial, ``law(rest=...)``, the full cut-off can be had.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data, or the labels of P, Q or `uncertainty`; of
-        models and measured responses 1000 of them, from a thousandth of Q's cut-off on.
+        models and measured responses 1000 of them, from a thousandth of Q's cut-off on. Of an
+        estimate from records they begin where one period fits into the longest record.
     Ts : float, optional
         Sampling period, s; for arrays, of which none knows it.
     order : int, optional
@@ -95,12 +102,16 @@ def synthesise(
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float, None or "auto"
         Bound on sigma_max(L), unit of w per unit of y. Default: eight times the largest gain that
-        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times that at rest; if `base`
-        is a number or None, four times it, rounded up to one digit. It holds between
-        the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
-        filters then compete up to the gain that coefficients in doubles can hold,
-        :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
-        diverge: ask :func:`trial_norm`.
+        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times the largest that inverts
+        P up to a thirtieth of the cut-off, unless that left more than two thirds of M_max of the
+        error. If `base` is a number or None, it is four times the gain that inverts P up to Q's
+        cut-off, rounded up to one digit. It holds between the frequencies of a coarse grid, and up
+        to the Nyquist frequency, too. None leaves it out: filters then compete up to the gain that
+        coefficients in doubles can hold, :attr:`.Problem.L_bound`, and where they look beyond the
+        ends of a trial, trials often diverge: ask :func:`trial_norm`.
+    L_high : (float, float), optional
+        A frequency, rad/s, and a further bound on sigma_max(L) from there on: L then learns less
+        noise there, without a lower cut-off of Q.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -161,10 +172,11 @@ def synthesise(
         For each of the certificate's `warnings`: bounds passed between the frequencies by a quarter
         of 1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to
         one there, a filter that leaves nearly all of the error, a Q that no filter can make up for
-        where P is not known. Samples that scatter as noise does are not noticed: without
-        `uncertainty` they count as exact. A table also warns if it ends where one in Hz does, just
-        below 1 / (2 Ts), if it begins at minus one, or if it looks like the sensitivity or the
-        inverse of a loop, see :mod:`.problem.plausible`.
+        where P is not known. Of a Q that is left out: a narrow range of frequencies that lowers its
+        cut-off to a half or less; a cut-off that is halved for the ends of a trial. Samples that
+        scatter as noise does are not noticed: without `uncertainty` they count as exact. A table
+        also warns if it ends where one in Hz does, just below 1 / (2 Ts), or if it begins at minus
+        one, see :mod:`.problem.plausible`.
 
     Raises
     ------
@@ -189,58 +201,100 @@ def synthesise(
     (0.01, 1)
     >>> law = design.law()
     """
+    if isinstance(base, str):
+        arguments.choice("base", base, [CHOOSE])
+        base = CHOOSE if order is None else None
     choices = {
         "M_max": M_max,
         "L_max": L_max,
+        "L_high": L_high,
         "band": band,
         "reference": reference,
         "structure": structure,
         "objective": objective,
         "everywhere": everywhere,
+        "base": base,
         "order": order,
         "reach": reach,
     }
-    if isinstance(base, str):
-        arguments.choice("base", base, [CHOOSE])
-        base = CHOOSE if order is None else None
-
-    known = partial(response_of, P, omega, Ts, uncertainty, scale)
-
-    def designed_with(Q):
-        return designed(pose(known(Q), Q, base=base, **choices), base)
-
-    return warned(without_Q(known(), M_max, designed_with) if Q is None else designed_with(Q))
+    task = Task(admitted(P, Ts, uncertainty, scale, Q), omega, choices)
+    return warned(without_Q(task) if Q is None else designed(task.problem(Q)))
 
 
-def without_Q(response, M_max, designed_with) -> Synthesis:
-    """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
+class Task(NamedTuple):
+    """All that is asked for, but for Q."""
+
+    plants: Admitted
+    omega: Any  # design frequencies; None: they follow from Q
+    choices: dict  # arguments of `pose`
+
+    def problem(self, Q) -> Problem:
+        """The problem with this Q."""
+        return pose(self.plants.on(self.omega, Q), Q, **self.choices)
+
+
+def without_Q(task: Task) -> Synthesis:
+    """The design with the cut-off that P admits; with half of it, if a trial's ends might grow."""
+    response, M_max = task.plants.on(task.omega), checked_M_max(task.choices["M_max"])
     refuse_singular(response)
-    Ts, positive = response.Ts, response.omega[response.omega > 0]
-    lowest, highest = max(LOWEST * np.pi / Ts, positive[0]), reached(response, M_max)
-    for cutoff in (highest, highest / 2):
-        Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
-        design = designed_with(Q)
-        samples, norm = design.certificate.trial
-        if not norm >= 1:
-            break
-    text = f"Q with cut-off {Q.cutoff:.4g} rad/s, by how far P reaches"
-    if Q.cutoff == lowest:
-        warnings.warn(
-            f"{text}: next to nothing is learned, as P is too uncertain there, or its plants "
-            "differ: record longer or larger moves",
-            stacklevel=4,
-        )
-    problem = replace(design.problem, chosen=(text, *design.problem.chosen))
-    certificate = replace(design.certificate, problem=problem)
+    limit, Ts = reached(response, M_max), response.Ts
+    lowest = max(LOWEST * np.pi / Ts, response.omega[response.omega > 0][0])
+
+    def lowpass(cutoff):
+        return ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
+
+    first = design = designed(task.problem(lowpass(limit.omega)))
+    _, norm = first.certificate.trial
     if norm >= 1:
-        text += f": norm of a trial of {samples} samples {norm:.3g}: its ends may grow"
-        warnings.warn(f"{text} from trial to trial", stacklevel=4)
-    return replace(design, certificate=certificate)
+        design = designed(task.problem(lowpass(limit.omega / 2)))
+    cutoff = design.Q.cutoff
+    text, costs = f"Q with cut-off {cutoff:.4g} rad/s", []
+    if norm >= 1:
+        text += f", half of {first.Q.cutoff:.4g} rad/s, where the norm of a trial is {norm:.3g}"
+        costs.append(_cost_of_ends(first, design))
+    text += f", {limit.reason}"
+    if limit.decisive:
+        text += f": {limit.decisive} decides, without it {limit.without:.2g} rad/s"
+    if limit.costly:
+        costs.append(Finding("narrow", limit.without, limit.omega, limit.decisive))
+    if cutoff == lowest:
+        costs.append(Finding("little", cutoff, lowest, limit.reason))
+    problem = replace(design.problem, chosen=(text, *design.problem.chosen), costs=tuple(costs))
+    certificate = replace(design.certificate, problem=problem)
+    return replace(design, problem=problem, certificate=certificate)
 
 
-def designed(problem: Problem, base) -> Synthesis:
+def _cost_of_ends(first, half) -> Finding:
+    """What the ends of a trial cost where they halve the cut-off, and what would mend them."""
+    samples, norm = first.certificate.trial
+    _, left = half.certificate.trial
+    if found := _rest_that_mends(first):
+        rest, mended = found
+        Q = f"zero_phase_butterworth({ORDER}, {first.Q.cutoff:.4g}, {first.Q.Ts:g})"
+        remedy = f". With {Q} as Q and law(rest={rest}) of that design, the norm is {mended:.2g}"
+    else:
+        remedy = ""
+    code, norm = ("ends", left) if left >= 1 else ("halved", norm)
+    return Finding(code, norm, half.Q.cutoff, f"of {samples} samples", remedy)
+
+
+def _rest_that_mends(design) -> tuple[int, float] | None:
+    """A number of samples at rest that takes the norm of a trial below one, and that norm."""
+    problem, certificate = design.problem, design.certificate
+    L, (samples, _) = certificate.scaled_filter, certificate.trial
+    for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
+        norm = max(
+            trial_norm(P, problem.lowpass, L, samples, rest=int(rest))[0]
+            for P in problem.response.models
+        )
+        if norm < 1:
+            return int(rest), norm
+    return None
+
+
+def designed(problem: Problem) -> Synthesis:
     """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
-    design = direct(problem) if base == CHOOSE else None
+    design = direct(problem) if problem.formula_will_do else None
     return certified(problem) if design is None else design
 
 
@@ -278,12 +332,11 @@ def _remedy(problem):
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each of its findings."""
     for found in design.certificate.warnings:
-        # warned, the door, its one thread, whoever called
-        warnings.warn(str(found), stacklevel=4)
+        warn(str(found))
     return design
 
 
-def certified(problem: Problem, *, check=True) -> Synthesis:
+def certified(problem: Problem) -> Synthesis:
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
     try:
         grid, solution = solve_everywhere(problem)
@@ -292,8 +345,7 @@ def certified(problem: Problem, *, check=True) -> Synthesis:
     except RuntimeError as error:
         raise SolverError(f"{error}.{_remedy(problem)}") from None
     certificate = certify(problem, grid, solution)
-    if check:
-        insist(certificate)
+    insist(certificate)
     return result(problem, solution, certificate)
 
 
@@ -301,7 +353,7 @@ def result(problem, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
     L = problem.L(solution)
     return Synthesis(
-        in_units(certificate.filter, problem.scale),
+        in_units(certificate.scaled_filter, problem.scale),
         problem,
         certificate,
         largest_singular_values(problem.M(L)),
@@ -318,11 +370,11 @@ def _infeasible(problem) -> InfeasibleError:
     least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
     longer += "" if problem.base is None else ", a larger `reach`, or none of B (pass its order)"
-    raised = "M_max" if problem.L_max is None else "M_max or L_max"
+    raised = " or ".join(claim.name for claim in problem.bounds.claims)
     texts = "; ".join(problem.assumptions)
     return InfeasibleError(
-        f"infeasible: M_max = {problem.M_max:g} and L_max = {problem.L_max or np.inf:g} are too "
-        f"tight for a {problem.structure} filter of order = {problem.order} (P lags by "
+        f"infeasible: {' and '.join(map(str, problem.bounds.claims))} are too tight for a "
+        f"{problem.structure} filter of order = {problem.order} (P lags by "
         f"{problem.delay} samples at the cut-off); the smallest feasible M_max is {least:.6g} "
         f"(most in the way: {where}): raise {raised}, take {longer}, lower the cut-off of Q "
         "(without Q, it is chosen), or design a faster loop. If no bound so tight was meant: are "

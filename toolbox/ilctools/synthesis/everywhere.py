@@ -19,10 +19,12 @@ ROUNDS = 50  # at which to give up
 FEW = 100  # bounds that are added in a round, beside those that are passed most
 
 
-def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution]:
+def solve_everywhere(
+    problem: Problem, nearest=False, nearby: Solution | None = None
+) -> tuple[Problem, Solution]:
     """Solve a problem; returned with all frequencies that it needs.
 
-    `nearest`: find the least M_max that can be met.
+    `nearest`: find the least M_max that can be met. `nearby`: see :func:`.cuts.solve`.
     """
     grid, chosen = on_a_grid(problem)
     if nearest:
@@ -30,7 +32,7 @@ def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution
         grid = replace(grid, objective=peak, bounds=replace(grid.bounds, M_max=np.inf))
     for _ in range(ROUNDS):
         wider = part(grid, chosen)
-        solution = solve(wider)
+        solution = solve(wider, nearby)
         share = np.where(chosen, 0, _share(grid, solution))
         if share.max() <= 1 + PASSED:
             break
@@ -39,16 +41,19 @@ def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution
 
 
 def _share(problem, solution):
-    """The larger share of its bounds on M and on L that a solution has at each frequency."""
-    limit_M, limit_L = problem.M_max, 1.0
+    """The largest share of a bound that a solution has at each frequency."""
+    limit_M, gain = problem.M_max, 1.0
     if problem.objective.kind == "peak":  # rounding, where it is nearly zero
         limit_M = solution.largest + PASSED * problem.unit(solution.largest)
     if problem.objective.kind == "gain":
-        limit_L = solution.largest
-    L, numbers = problem.L(solution), range(len(problem.plants))
+        gain = solution.largest
+    L, K = problem.L(solution), problem.K(solution)
+    numbers = range(len(problem.plants))
     sigma_M = np.max([worst_sigma(problem, L, k, limit_M) for k in numbers], axis=0)
-    sigma_L = largest_singular_values(problem.weight @ problem.K(solution))
-    return np.maximum(sigma_M / limit_M, sigma_L / limit_L)
+    shares = np.maximum(sigma_M / limit_M, largest_singular_values(problem.L_bound @ K) / gain)
+    at, W = problem.L_bound_beside
+    shares[at] = np.maximum(shares[at], largest_singular_values(W @ K[at]))
+    return shares
 
 
 def _worst(share):

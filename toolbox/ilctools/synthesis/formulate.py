@@ -7,12 +7,14 @@ frequencies, where W is I / L_max. Each of these is a `solver.bounds.Bound`, and
 those for other plants and for a radius.
 
 The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
-each frequency. It is computed in long doubles, see :func:`ilctools.filters.time_shifts`.
+each frequency.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from ilctools.filters import time_shifts
 from ilctools.problem.problem import Cuts, Problem, Solution
@@ -23,30 +25,17 @@ from ilctools.synthesis.solver.program import GENEROUS, Optimum, Program
 SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 
 
-def orthonormalise(A):
-    """A = Q R by Gram and Schmidt, in the precision of A; NumPy's QR is for doubles only."""
-    Q, R = A.copy(), np.zeros((A.shape[1],) * 2, dtype=A.dtype)
-    for j in range(A.shape[1]):
-        for _ in range(3):  # one pass loses a digit for each of the condition number
-            share = Q[:, :j].T @ Q[:, j]
-            Q[:, j] -= Q[:, :j] @ share
-            R[:j, j] += share
-        R[j, j] = np.sqrt(Q[:, j] @ Q[:, j])
-        Q[:, j] /= R[j, j]
-    return Q, R
-
-
 def whitened_basis(problem):
     """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
     Q = np.abs(problem.Q)
     P = problem.through_base(problem.P, np.arange(len(Q)))
     weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
-    weight = np.hypot(weight, largest_singular_values(problem.weight))
+    weight = np.hypot(weight, largest_singular_values(problem.L_bound))
     weight = np.maximum(weight, 1e-8 * weight.max())
-    z = weight * time_shifts(problem.omega * problem.Ts, problem.order).T
-    Phi, R = orthonormalise(np.concatenate([z.real, z.imag], axis=1).T)
+    z = weight[:, None] * time_shifts(problem.omega * problem.Ts, problem.order)
+    Phi, R = np.linalg.qr(np.concatenate([z.real, z.imag]).astype(float))
     real, imag = np.split(Phi, 2)
-    return ((real + 1j * imag).T / weight).astype(complex, order="C"), R
+    return np.ascontiguousarray((real + 1j * imag).T / weight), R
 
 
 def entries_of(channels, structure):
@@ -62,7 +51,13 @@ def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
         radius = np.maximum(radius, SMALLEST * np.abs(problem.P).max())
     F, T = problem.affine(plant, frequency, radius)
     T = problem.through_base(T, frequency)
-    return Bound(_long(F), _long(T), frequency, np.broadcast_to(level, len(frequency)))
+    levels = np.broadcast_to(level, len(frequency))
+    return Bound(_long(F), _long(T), frequency, levels, radius is not None)
+
+
+def bound_on_L(W, frequency, level) -> Bound:
+    """The bound on W L, (46), at some frequencies."""
+    return Bound(0 * W, W, frequency, np.full(len(frequency), level), within_radius=False)
 
 
 def _long(X):
@@ -77,6 +72,7 @@ def side_by_side(*bounds) -> Bound:
         np.concatenate([bound.T for bound in bounds], axis=2),
         np.concatenate([bound.at for bound in bounds]),
         np.concatenate([bound.level for bound in bounds]),
+        bounds[0].within_radius,
     )
 
 
@@ -91,59 +87,74 @@ class Formulation:
     plant: np.ndarray  # plants and frequencies of the cuts
     frequency: np.ndarray
 
+    def x_of(self, solution: Solution) -> np.ndarray:
+        """The unknowns of the program that make a filter."""
+        return solution.coefficients[self.program.rows, self.program.cols] @ self.R.T
+
     def solution(self, optimum: Optimum) -> Solution:
         """The filter and the multipliers of an optimum of the program."""
         problem, program = self.problem, self.program
         m, n = problem.channels, len(problem.omega)
         C, (U, V) = np.zeros((m, m, problem.order)), np.zeros((2, n, m, m), dtype=complex)
-        C[program.rows, program.cols] = back_substituted(optimum.x, self.R)
+        C[program.rows, program.cols] = solve_triangular(self.R, optimum.x.T).T
         N = [np.moveaxis(N, -1, 0) for N in optimum.multipliers]
-        of_M, of_L, of_cuts = np.split(N[0], [len(self.nominal), len(self.nominal) + n])
-        U[self.nominal], V[:] = of_M, problem.weight @ of_L  # of G = M and of G = W L
+        ends = np.cumsum([len(self.nominal), n, len(problem.L_bound_beside[0])])
+        of_M, of_L, _, of_cuts = np.split(N[0], ends)
+        U[self.nominal], V[:] = of_M, problem.L_bound @ of_L  # of G = M and of G = W L
         if problem.radius is not None:
             of_cuts = N[1]
         cuts = Cuts(self.plant, self.frequency, of_cuts) if len(self.plant) else None
         return Solution(C, U, V, optimum.largest, optimum.iterations, cuts)
 
 
-def back_substituted(x, R):
-    """c of x = c R^T, in the precision of R."""
-    c = x.astype(R.dtype)
-    for k in reversed(range(len(R))):
-        c[:, k] = (c[:, k] - c[:, k + 1 :] @ R[k, k + 1 :]) / R[k, k]
-    return c
+class Levels(NamedTuple):
+    """Which number bounds what: a t, or after these a limit, counted from zero."""
+
+    cost: np.ndarray  # of each t
+    limits: list[float]  # t <= limits[0]
+    M: np.ndarray  # (n,): number of the bound on the nominal M at each frequency
+    cuts: int  # on M of other plants, or within a radius
+    L: int  # on W L
+    L_beside: int  # on L, beside a gain that is minimised
 
 
-def levels_of(problem):
-    """The cost of each t, both limits, of which the first is that of t, and what bounds what.
-
-    That is a number for M at each frequency, for the cuts, and for W L: of a t, or of a limit.
-    """
-    of_M, summed = np.zeros(len(problem.omega), int), problem.objective.summed
-    if problem.objective.kind == "gain":  # minimise t; W L below t, M below M_max
-        return np.ones(1), [GENEROUS, problem.M_max], of_M + 2, 2, 0
-    if problem.objective.kind == "peak":  # minimise t; M below t, W L below 1: (45), (46)
-        return np.ones(1), [GENEROUS * problem.idle, 1.0], of_M, 0, 2
-    # minimise c t; M below t in the sum, else below M_max, W L below 1: (39)
-    cost = problem.objective.weights[summed]
-    of_M[:], of_M[summed] = len(cost), np.arange(len(cost))
-    return cost, [problem.M_max, 1.0], of_M, len(cost), len(cost) + 1
+def levels_of(problem) -> Levels:
+    """The levels of (39), of (45) with (46), or of the least gain."""
+    n, one_t = len(problem.omega), np.ones(1)
+    match problem.objective.kind:
+        case "gain":  # minimise t:  W L <= t,  M <= M_max
+            t, _, M_max, one = range(4)
+            limits = [GENEROUS, problem.M_max, 1.0]
+            return Levels(one_t, limits, np.full(n, M_max), cuts=M_max, L=t, L_beside=one)
+        case "peak":  # minimise t:  M <= t,  W L <= 1                    (45), (46)
+            t, _, one = range(3)
+            limits = [GENEROUS * problem.idle, 1.0]
+            return Levels(one_t, limits, np.full(n, t), cuts=t, L=one, L_beside=one)
+        case "sum":  # minimise w t:  M_i <= t_i <= M_max,  W L <= 1      (39)
+            summed = problem.objective.summed
+            cost = problem.objective.weights[summed]
+            M_max, one = len(cost), len(cost) + 1
+            of_M = np.full(n, M_max)
+            of_M[summed] = np.arange(len(cost))
+            return Levels(cost, [problem.M_max, 1.0], of_M, cuts=M_max, L=one, L_beside=one)
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
     every, radius = np.arange(len(problem.omega)), problem.radius
     nominal, plant, frequency = _bounded(problem, np.array(plant, int), np.array(frequency, int))
-    cost, limits, of_M, of_cuts, of_L = levels_of(problem)
-    W = _long(problem.weight)
-    M = bound_on_M(problem, 0 * nominal, nominal, None, of_M[nominal])
-    L = Bound(0 * W, W, every, 0 * every + of_L)
-    cuts = bound_on_M(problem, plant, frequency, radius, of_cuts)
-    bounds = (side_by_side(M, L, cuts),) if radius is None else (side_by_side(M, L), cuts)
+    levels, W = levels_of(problem), _long(problem.L_bound)
+    M = bound_on_M(problem, 0 * nominal, nominal, None, levels.M[nominal])
+    L = bound_on_L(W, every, levels.L)
+    at, W_beside = problem.L_bound_beside
+    beside = bound_on_L(_long(W_beside), at, levels.L_beside)
+    cuts = bound_on_M(problem, plant, frequency, radius, levels.cuts)
+    plain = (M, L, beside) if len(at) else (M, L)
+    bounds = (side_by_side(*plain, cuts),) if radius is None else (side_by_side(*plain), cuts)
     basis, R = whitened_basis(problem)
     rows, cols = entries_of(problem.channels, problem.structure)
     most = GENEROUS if problem.objective.kind == "gain" else problem.M_max
-    program = Program(bounds, basis, rows, cols, cost, np.array(limits), most)
+    program = Program(bounds, basis, rows, cols, levels.cost, np.array(levels.limits), most)
     return Formulation(problem, program, R, nominal, plant, frequency)
 
 

@@ -14,7 +14,7 @@ from ilctools.law.law import Law
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
-from ilctools.response.door import in_own_units, response_of
+from ilctools.response.door import in_own_units, named, response_of
 from ilctools.signals import check_match
 from ilctools.threads import on_one_thread
 
@@ -42,7 +42,7 @@ class Synthesis:
 
     @property
     def margins(self) -> Margins:
-        """How far the plant may be off before monotone convergence is lost: gain, delay, time."""
+        """By how much gain, delay and time scale of the plant may change, see :class:`Margins`."""
         return self.certificate.margins
 
     @property
@@ -93,21 +93,19 @@ class Synthesis:
         """
         design = self.problem
         if omega is None:
-            first = P[0] if isinstance(P, list | tuple) and len(P) else P
-            omega = labels.frequencies_of("P", first)
+            first, *_ = named(P).values()
+            _, omega = labels.table_of("P", first, None)
         if omega is None:
             omega = getattr(P, "omega", self.omega)
         scale, Q = design.scale if np.any(design.scale != 1) else None, design.lowpass
-        names = design.response.signals.channels_of(design.channels)
-        names = names if any(names) else None
-        response = response_of(P, omega, design.Ts, uncertainty, scale, Q, names)
+        response = response_of(P, omega, design.Ts, uncertainty, scale, Q)
         problem = pose(response, Q, order=1, L_max=None, objective="peak")
         if problem.channels != design.channels:
             raise ValueError(
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
         check_match(design=design.response.signals, P=response.signals)
-        return on_one_thread(check)(problem, self.certificate.filter).convergence
+        return on_one_thread(check)(problem, self.certificate.scaled_filter).convergence
 
     def __repr__(self):
         return repr(self.certificate)

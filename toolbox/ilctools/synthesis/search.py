@@ -14,6 +14,7 @@ from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
+ENOUGH = 1.5  # times the gain of a filter of least peak: that filter must be well within the bound
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 
 
@@ -55,14 +56,15 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     known = choices.pop("uncertainty", None), choices.pop("scale", None)
     problem = pose(response_of(P, omega, Ts, *known, Q), Q, objective="peak", L_max=None, **choices)
     free = certified(problem)
-    unit = free.sigma_L.max()  # a gain that is enough
+    unit = ENOUGH * free.sigma_L.max()
     question = replace(problem, objective=replace(problem.objective, kind="gain"))
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
                 room = same * problem.unit(free.value)
                 bounds = replace(problem.bounds, M_max=free.value + room, L_max=unit)
-                _, found = solve_everywhere(replace(question, bounds=bounds))
+                least = replace(question, bounds=bounds)
+                _, found = solve_everywhere(least, nearby=free.solution)
             L_max = unit * found.largest
             break
         except (Infeasible, RuntimeError):

@@ -14,10 +14,10 @@ where its RMS rises by more than noise explains. How large noise is follows from
 themselves: it is what does not repeat, however coloured, and what v does not explain.
 
 P is that of the design with its radius, or else the loop's. A loop without P says nothing about how
-exact the P of its law is. Then (1) and (2) are taken for all plants (I + Delta) P with a relative
-error ||Delta|| of PLANT_ERROR at most, for which sigma_max(M) grows by the error times
-sigma_max(Q P L) at most. A plant that is wrong by a quarter learns more slowly, and is no news. A
-signal in another unit, whose Delta is near -I, is news.
+exact the P of its law is. Then (2) is taken for all plants (I + Delta) P with a relative error
+||Delta|| of PLANT_ERROR at most, which change the prediction by that fraction of P (v_{k+1} - v_k).
+A plant that is wrong by a quarter learns more slowly, and is no news. A signal in another unit,
+whose Delta is near -I, is news.
 
 An output is dead if it stands still in a trial in which P moves it.
 """
@@ -31,14 +31,13 @@ import numpy as np
 import xarray as xr
 from scipy.special import factorial, fdtrc
 
+from ilctools.base import RegularisedInverse
 from ilctools.evidence.robustness import within_radius
 from ilctools.law.law import Law
 from ilctools.models import frequency_response
 from ilctools.response.door import response_of
-from ilctools.response.response import Response
-from ilctools.singular_values import largest_singular_values
 from ilctools.trials.learn import applied_v
-from ilctools.trials.recorded import runs, successions
+from ilctools.trials.parts import from_rest_to_rest, successions
 from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
 from ilctools.units import by_unit
 
@@ -82,19 +81,19 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         found = {"growth": _first_finding(error_grows, forgetting(trials, law), first)}
         for P in [] if exact else known_plants(law):
-            found |= {"dead": dead_outputs(trials, law, P, first), "model": {}}
-            if not found["dead"]:
-                differs = partial(plant_differs, law, largest_M(law, P))
-                found["model"] = _first_finding(differs, predicted(trials, law, P), first)
-                if not found["model"]:
-                    break
+            with_P = predicted(trials, law, P)
+            differs = partial(plant_differs, law, largest_M(law, P))
+            found["dead"] = _first_finding(dead_outputs, with_P, first)
+            found["model"] = {} if found["dead"] else _first_finding(differs, with_P, first)
+            if not (found["dead"] or found["model"]):
+                break
     return {kind: WORDS[kind].format(**values) for kind, values in found.items() if values}
 
 
 def _first_finding(test, trials, first):
     """What a test first finds of trials in succession, in the outputs of one unit, as numbers."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
-    begins = [(k, since) for k, since in enumerate(successions(trials)) if first - 1 <= k > since]
+    begins = [(k, since) for k, since in enumerate(successions(trials)) if k >= first - 1]
     for channels in groups:
         alike = trials.isel(channel=channels)
         signals = {name: x.values for name, x in alike.variables.items() if "trial" in x.dims}
@@ -118,28 +117,32 @@ def error_grows(trials: SimpleNamespace) -> dict:
     """Null hypothesis: errors of trials with one reference are noise of one variance.
 
     It is tested where the error rose several times in succession up to the last trial, or to a
-    multiple at once. First trials with a v that Q forgets, as another law or task had it, are no
-    beginning: with e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
+    multiple at once.
     """
-    forgotten, learned = (
-        np.linalg.norm(x, axis=(1, 2)) for x in (trials.forgotten, trials.learned)
-    )
-    begin = np.logical_and.accumulate(forgotten > GROWTH * learned).sum()
+    begin = first_judged(trials)
     e, size = trials.e[begin:], trials.rms[begin:]
     if len(size) < 2:
         return {}
     size = np.maximum(size, ROUNDING * max(np.abs(trials.reference).max(), *size))
-    rises, least = np.append(size[:0:-1] > size[-2::-1], False).argmin(), GROWTH
-    before = len(size) - 1 - rises
+    before = np.append(-1, np.flatnonzero(np.diff(size) <= 0))[-1] + 1  # since when it rises
+    rises, least = len(size) - 1 - before, GROWTH
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
-    growth = size[-1] / size[before]
-    if growth < least or size[-1] < AMPLIFICATION * np.linalg.norm(noise_std(e[0])):
-        return {}
+    growth, noise = size[-1] / size[before], np.linalg.norm(noise_std(e[0]))
     freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
-    if chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
+    by_chance = chance(growth, freedom, rises + 1) >= SIGNIFICANCE
+    if by_chance or growth < least or size[-1] < AMPLIFICATION * noise:
         return {}
     return {"trials": trials.trial[[begin + before, -1]], "rms": size[[before, -1]]}
+
+
+def first_judged(trials: SimpleNamespace) -> int:
+    """The first trial with a v that Q does not forget, as it forgets that of another law or task.
+
+    With e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
+    """
+    taken, added = (np.sum(x**2, axis=(1, 2)) for x in (trials.forgotten, trials.learned))
+    return np.append(taken > GROWTH**2 * added, False).argmin()
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
@@ -158,153 +161,116 @@ def known_plants(law: Law) -> list[Callable]:
     """P and its radius over omega, of each plant that the trials are compared with.
 
     These are the plants of the design, if it knew more than one exact model; else the loop's P;
-    else the model of the design; else, of a law that was read from a file, the models in its L.
+    else the model of the design; else, of a law that was read from a file, the model in its L.
     """
     region, model = law.region, getattr(law.loop, "P", None)
-    if region is None or (is_exact(region) and model is not None):
-        models = models_in(law.L) if model is None else [model]
-        region = response_of(models, GRID / law.Ts) if models else None
+    if region is None and model is None:
+        model = model_in(law.L)
+    alone = region is None or (
+        region.radius is None and not region.sampled and len(region.models) == 1
+    )
+    if alone and model is not None:
+        region = response_of(model, GRID / law.Ts)
     count = 0 if region is None else len(region.models)
     return [partial(region.anywhere, k) for k in range(count)]
 
 
-def is_exact(region: Response) -> bool:
-    """Whether it is one model without a radius."""
-    return region.radius is None and not region.sampled and len(region.models) == 1
+def model_in(L) -> control.StateSpace | None:
+    """The model of norm-optimal learning or of the base B of L, in the outputs' own units.
 
-
-def models_in(L) -> list[control.StateSpace]:
-    """The models of norm-optimal learning or of the base B of L, in the outputs' own units.
-
-    None if they are diagonal, as those of a diagonal filter are, whatever the plant is.
+    Of several plants in B it is their mean, E^T P in the notation of :mod:`ilctools.base`. There is
+    none in a diagonal filter of several channels, which does not know how they are coupled.
     """
     B = getattr(L, "B", L)
     P = getattr(B, "P", None)
-    if P is None or P.noutputs % P.ninputs:
-        return []
-    m, count = P.ninputs, P.noutputs // P.ninputs
-    scale = getattr(B, "scale", np.ones(m))
-    S, R = np.diag(np.tile(scale, count)), np.diag(1 / scale)
-    # B has them one below the other, divided by the root of their number
-    S *= np.sqrt(count)
-    stacked = control.ss(P.A, P.B @ R, S @ P.C, S @ P.D @ R, P.dt)
-    models = [stacked[k * m : (k + 1) * m, :] for k in range(count)]
-    return [] if m > 1 and all(map(_is_diagonal, models)) else models
-
-
-def _is_diagonal(model):
-    """Whether no input acts on another's output, at any frequency of GRID."""
-    size = np.abs(frequency_response(model, GRID / model.dt)).max(axis=0)
-    return np.all(size - np.diag(np.diag(size)) <= ROUNDING * size.max())
+    if not isinstance(B, RegularisedInverse):
+        return P
+    mean = B.scale[:, None] * B.E.T
+    model = control.ss(P.A, P.B / B.scale, mean @ P.C, mean @ P.D / B.scale, P.dt)
+    coupling = frequency_response(model, GRID / P.dt) * (1 - np.eye(P.ninputs))
+    return model if P.ninputs == 1 or coupling.any() else None
 
 
 def plant_error(law: Law) -> float:
     """Relative error of P that is no news: none if the loop's P or a radius says what P is."""
-    of_loop, region = getattr(law.loop, "P", None), law.region
-    known = of_loop is not None or (region is not None and region.radius is not None)
-    return 0.0 if known else PLANT_ERROR
+    model, radius = getattr(law.loop, "P", None), getattr(law.region, "radius", None)
+    return PLANT_ERROR if model is None and radius is None else 0.0
 
 
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     """Trials with P v from rest, by which v lowers the error, and what the radius may add to it.
 
-    And with `kept`, what Q never learns of the error without v.
+    And with `kept`, what Q never learns of the error without v, and with `moves`, what P makes of
+    w = r + v from rest where w begins.
     """
-    v = [applied_v(law, run) for run in runs(trials)]
-    effect, spread = through(P, v, law.Ts).reshape(2, *trials.v.shape)
+    parts = [*from_rest_to_rest(trials)]
+    v = np.array([applied_v(law, part) for part in parts])
+    w = v + [part["reference"] for part in parts]
+    samples = v.shape[1]
+    # by transforms of twice the length, after which the impulse response has decayed
+    response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
+
+    def through(gain, signals):
+        spectra = gain @ np.fft.rfft(signals, 2 * samples, axis=1)[..., None]
+        made = np.fft.irfft(spectra[..., 0], axis=1)[:, :samples]
+        return made.reshape(trials.v.shape)
+
+    effect, moves = through(response, v), through(response, w - w[:, :1])
+    spread = through(radius[:, None, None] * np.eye(v.shape[2]), v)
     free = trials.e.values + effect
-    kept = AXES, free - law.Q.apply(free)  # (1 - Q) e_free
-    of_inputs = ("trial", "time", "input"), spread
-    return trials[["e", "reference"]].assign(effect=(AXES, effect), kept=kept, spread=of_inputs)
+    return trials[["e", "reference", "y"]].assign(
+        effect=(AXES, effect),
+        moves=(AXES, moves),
+        kept=(AXES, free - law.Q.apply(free)),  # (1 - Q) e_free
+        spread=(("trial", "time", "input"), spread),
+    )
 
 
-def through(P: Callable, signals, Ts: float) -> np.ndarray:
-    """What P makes of signals (run, time, m) from rest, and its radius: (2, run, time, m).
+def dead_outputs(trials: SimpleNamespace) -> dict:
+    """Outputs that stand still in the last trial, in which P moves them.
 
-    By transforms of twice the length, after which the impulse response has decayed.
+    A movement is the highest value less the lowest one. It counts if it is more than STILL of the
+    reference's: a coarse sensor that shows no less movement within its resolution is not dead.
     """
-    samples = np.shape(signals)[1]
-    response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, Ts))
-    spectra = np.fft.rfft(signals, 2 * samples, axis=1)[..., None]
-    both = np.stack([response @ spectra, radius[:, None, None] * spectra])[..., 0]
-    return np.fft.irfft(both, axis=2)[:, :, :samples]
-
-
-def dead_outputs(trials: xr.Dataset, law: Law, P: Callable, first: int) -> dict:
-    """Outputs that stand still in a trial in which P moves them, whatever its error or radius.
-
-    The movement that P predicts is that by w = r + v, from rest where w begins. It counts if it is
-    more than STILL of :func:`to_move`.
-    """
-    y = trials.y.values
-    still = np.ptp(y, axis=1) == 0
-    still[: first - 1] = False
-    if not still.any():
-        return {}
-    w = [run["reference"] + applied_v(law, run) for run in runs(trials)]
-    moves, spread = through(P, [x - x[:1] for x in w], law.Ts).reshape(2, *y.shape)
-    moves, spread = np.std(moves, axis=1), np.linalg.norm(_rms(spread), axis=1)
-    surely = (1 - plant_error(law)) * moves - spread[:, None]
-    dead = still & (surely > STILL * to_move(trials))
+    y, wanted, moves = (np.ptp(x[-1], axis=0) for x in (trials.y, trials.reference, trials.moves))
+    dead = (y == 0) & (wanted > 0) & (moves > STILL * wanted)
     if not dead.any():
         return {}
-    k = dead.any(axis=1).argmax()
-    return {
-        "trial": trials.trial.values[k],
-        "outputs": ", ".join(trials.output.values[dead[k]]),
-        "moves": moves[k, dead[k]].max(),
-    }
-
-
-def to_move(trials: xr.Dataset) -> np.ndarray:
-    """By how much outputs are to move (trial, channel), those of a unit together.
-
-    It is the deviation of the reference from its mean; if that stands still, its size or the
-    error's: a coarse sensor that shows no movement within its resolution is not dead.
-    """
-    r, e = trials.reference.values, trials.e.values
-    moves, size, error = np.std(r, axis=1), _rms(r), _rms(e)
-    for channels in by_unit(trials.output_unit.values.tolist()).values():
-        for values in (moves, size, error):
-            values[:, channels] = values[:, channels].max(axis=1, keepdims=True)
-    return np.where(moves > ROUNDING * size, moves, np.maximum(size, error))
-
-
-def _rms(signals):
-    """Root of the mean square over time, of signals (trial, time, channel)."""
-    return np.sqrt(np.mean(signals**2, axis=1))
+    outputs = ", ".join(trials.output[dead])
+    return {"trial": trials.trial[-1], "outputs": outputs, "moves": moves[dead].max()}
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
-    """sigma_max(M) on GRID, the largest within the radius of P, or with its error."""
+    """sigma_max(M) on GRID, the largest within the radius of P."""
     omega = GRID / law.Ts
     response, radius = P(omega)
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)
-    learned = largest_singular_values(Q[:, None, None] * (response @ L))
-    return within_radius(response, Q, L, radius, 0) + plant_error(law) * learned
+    return within_radius(response, Q, L, radius, 0)
 
 
 def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: int) -> dict:
     """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
 
-    `bound` is sigma_max(M) and what Q leaves, by (1); `predicted` follows from (2), ends included;
-    `measured` is the error of trial k. `excess` is the RMS by which it exceeds both.
+    `predicted` follows from (2), ends included, with the error that P may have; `bound` is that, or
+    sigma_max(M) and what Q leaves, by (1), if it is more; `measured` is the error of trial k.
+    `excess` is the RMS by which it exceeds the bound.
     """
-    e, effect, kept, spread = trials.e, trials.effect, trials.kept, trials.spread
-    frequency = octaves(e.shape[1]) * 2 * np.pi / e.shape[1]  # times Ts
+    e, kept, first = trials.e, trials.kept, octaves(trials.e.shape[1])
+    frequency = first * 2 * np.pi / e.shape[1]  # times Ts
     sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, frequency))
     size = np.maximum(rms_by_octave(e[before]), TINY)
+    change, spread = (x[k] - x[before] for x in (trials.effect, trials.spread))
+    uncertain = rms_by_octave(spread) + plant_error(law) * rms_by_octave(change)
+    promised = (rms_by_octave(e[before] - change) + uncertain) / size  # (2)
     bound = 1 - law.gain + law.gain * (sigma + rms_by_octave(kept[before]) / size)  # (1)
-    off = rms_by_octave(spread[k] - spread[before])  # by the radius of P, and by its error
-    off += plant_error(law) * rms_by_octave(effect[k] - effect[before])
-    promised = (rms_by_octave(e[before] + effect[before] - effect[k]) + off) / size  # (2)
+    bound = np.maximum(bound, promised)
     measured = rms_by_octave(e[k]) / size
     return {
         "bound": bound,
         "predicted": promised,
         "measured": measured,
         "frequency": np.append(frequency[1:], np.pi) / law.Ts,
-        "excess": size * np.maximum(measured - np.maximum(bound, promised), 0),
+        "excess": size * np.maximum(measured - bound, 0),
     }
 
 
@@ -384,7 +350,7 @@ WORDS = {
     ),
     "dead": (
         "{outputs} did not move in trial {trial}, where the model predicts a movement of "
-        "{moves:.3g} (RMS): is a sensor dead or not connected, or an actuator switched off? What "
+        "{moves:.3g}: is a sensor dead or not connected, or an actuator switched off? What "
         "is learned from an output that does not move grows in each trial and lowers no error"
     ),
     "model": (

@@ -30,22 +30,22 @@ def disturbances_of(loop: Loop, disturbance, trials: int, samples: int) -> np.nd
 
 
 def learn(
-    run: Callable, following: Callable, reference: np.ndarray, past: Sequence[Part] = ()
+    respond: Callable, following: Callable, reference: np.ndarray, past: Sequence[Part] = ()
 ) -> list[Part]:
-    """Run what a reference (time, m) asks for, in parts; with a reset each is a trial.
+    """Learn what a reference (time, m) asks for, in parts; with a reset each is a trial.
 
         w_k = r + v_k                                                                        (22)
         v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
 
-    `following(parts)` is (23) after these parts, see :func:`next_v`; `run(w, now)` applies w in
-    the samples `now` of the reference and returns the other signals.
+    `following(parts)` is (23) after these parts, see :func:`next_v`; `respond(w, now)` applies w
+    in the samples `now` of the reference and returns the other signals.
     """
     parts, done = [], 0
     while done < len(reference):
         v = following([*past, *parts])[: len(reference) - done]  # (23)
         now = slice(done, done + len(v))
         r = reference[now]
-        parts.append({"v": v, "reference": r} | run(r + v, now))  # (22)
+        parts.append({"v": v, "reference": r} | respond(r + v, now))  # (22)
         done = now.stop
     return parts
 
@@ -56,7 +56,7 @@ def next_v(law: Law, first: np.ndarray, reset: bool, parts: Sequence[Part]) -> n
         return first
     if reset:
         parts = parts[-1:]
-    elif not law.limits:  # with them what was applied follows from the start on
+    elif not law.known_limits:  # with them what was applied follows from the start on
         parts = _last(parts, memory(law, len(first)))
     signals = joined(parts)
     e = signals["reference"] - signals["y"]

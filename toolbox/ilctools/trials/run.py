@@ -7,7 +7,6 @@ and noise n on what the sensors report,
     u(p) = N w(p) - K_s x-hat(p) - delta(p)                                                  (18)
 """
 
-import warnings
 from functools import partial
 
 import control
@@ -25,6 +24,7 @@ from ilctools.signals import dataset
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.learn import asked_of, disturbances_of, joined, learn, next_v
 from ilctools.trials.start import Start
+from ilctools.warn import warn
 
 
 def run_trials(
@@ -135,7 +135,7 @@ def run_trials(
     if not reset:
         result.attrs[RESET] = NO_RESET
     for text in _warnings(result, law, plant is None, reset and initial_state is None):
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return result
 
 
@@ -144,13 +144,13 @@ def _learned(simulated, following, reset, *inputs):
     references, flows, white = map(np.concatenate, inputs)
     with progress(total=len(references), desc="samples", delay=PATIENCE) as bar:
 
-        def run(w, now):
+        def respond(w, now):
             bar.update(len(w))
             if reset:
                 simulated.reset()
-            return simulated.run(w, flows[now], white[now])
+            return simulated.part(w, flows[now], white[now])
 
-        signals = joined(learn(run, following, references))  # (22), (23)
+        signals = joined(learn(respond, following, references))  # (22), (23)
     return {name: x.reshape(*inputs[0].shape[:2], -1) for name, x in signals.items()}
 
 
@@ -175,7 +175,7 @@ class _Simulated:
         """Begin a trial."""
         self.state = self.initial
 
-    def run(self, w, d, noise):
+    def part(self, w, d, noise):
         """The signals of a trial, or of a part of one."""
         inputs = np.hstack([w, d, noise])[:, : self.model.ninputs]  # P has w alone
         x, y, u = self.response(inputs)
@@ -190,10 +190,11 @@ class _Simulated:
         return signals | {"y": y, "delta": x[:, -w.shape[1] :]} if self.ours else {"y": y}
 
     def response(self, inputs):
-        """States, outputs y and commands u."""
-        model = self.model
+        """States, outputs y and commands u, which stand in this order in the model's outputs."""
+        model, p = self.model, len(self.loop.outputs)
         x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
-        return x, *np.split(x @ model.C.T + inputs @ model.D.T, 2, axis=1)  # (18)
+        y_and_u = x @ model.C.T + inputs @ model.D.T  # (18)
+        return x, y_and_u[:, :p], y_and_u[:, p:]
 
     def within_limits(self, inputs):
         """Inputs whose w asks for what is applied, and what is asked for with the w given."""
@@ -212,7 +213,7 @@ def _warnings(result, law, exact, from_rest):
     yield from diagnose(result, law, exact=exact).values()
     if law.actuators is not None:
         u = law.loop.asked(result).values
-        if beyond := commands_beyond(u, law.loop.commands, law.limits):
+        if beyond := commands_beyond(u, law.loop.commands, law.known_limits):
             yield beyond + CUT_OFF
     if not result.y.any() and law.loop.asked(result).any():
         yield (

@@ -22,7 +22,6 @@ the trials has K s_c^2 / s_w^2 + 1 = 1 / rho times the variance that deviations 
 kernels, with one trial: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -35,6 +34,7 @@ from scipy.signal import oaconvolve
 from ilctools import arguments
 from ilctools.law.notes import RESET
 from ilctools.signals import Signals, check_match, period_of
+from ilctools.warn import warn
 
 GROWTH = 1.5  # from one lag of F to the next: fewer taps, a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
@@ -44,7 +44,7 @@ PENALTY = 2.0  # unless F(0) /= 0 makes each trial so many times as likely
 RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
 TINY = np.finfo(float).tiny  # instead of a zero that divides
-ROUNDING = 1e-14  # of the power, below which residuals are rounding
+ROUNDED_POWER = 1e-14  # of the power, below which residuals are rounding
 PREDICTED = 0.9  # share of v + e with less of which a warning comes
 UNCERTAIN = 0.2  # share of v that may be uncertain without one
 AXES = ("trial", "time", "channel")
@@ -129,7 +129,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     result = _fitted(v, y, references, reference)
     for i, name in enumerate(outputs):
         for text in _warnings(result, i, name):
-            warnings.warn(text, stacklevel=2)
+            warn(text)
     return result
 
 
@@ -247,14 +247,16 @@ class _Fits:
     def likelihood(self, rho, static, weight):
         """Logarithm of the likelihood of each output in blocks that were left out of the fit."""
         without = self.solve(rho, static, weight)[1:]
-        power = self.squares(0 * without).sum(axis=0)
-        floor = ROUNDING * np.where(power > 0, power, 1.0)
+        no_F = np.zeros_like(without)
+        power = self.squares(no_F).sum(axis=0)
+        floor = ROUNDED_POWER * np.where(power > 0, power, 1.0)
         prior = self.K * np.log(PENALTY) if static == 1 else 0.0
         return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
     def variances(self, without):
         """rho, by what fits without a block leave in it; and the share that they predict, (m,)."""
-        missed, power = self.squares(without), self.squares(0 * without)
+        no_F = np.zeros_like(without)
+        missed, power = self.squares(without), self.squares(no_F)
         rho = np.ones(self.m)
         if self.K > 1:
             rho = np.minimum(1.0, missed[0] / (self.K - 1) / np.maximum(missed[1], TINY))

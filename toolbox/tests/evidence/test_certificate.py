@@ -18,7 +18,7 @@ from ilctools.problem.problem import Solution
 OMEGA = np.geomspace(1e-3, np.pi, 64)  # one round is enough for four samples, see problem.grid
 BUTTERWORTH = zero_phase_butterworth(2, 0.3, 1.0)
 ASKED = {"order": 4, "M_max": 0.6, "L_max": 5.0, "band": (1e-3, 0.1), "structure": "diagonal"}
-FINE = np.geomspace(1e-3, np.pi, 250)
+FINE = np.geomspace(1e-4, np.pi, 250)  # from so far down that next to nothing moves below
 
 
 MODELS = [lags(), lags(1.3), lags(0.8, 0.93)]
@@ -52,11 +52,15 @@ mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s
     design = of_lags(P, omega, band=(1e-2, 0.1), structure="full", M_max=0.99)
     tables = design.certificate
     between, above = tables.peaks["estimated"], tables.peaks["assumed"]
+    below = tables.peaks["assumed below the first sample"]
+    moves = max(samples.moves for samples in tables.problem.response.samples)
     assert f"{design}".startswith(f"rate at most {design.rate:.4f} for each of 3 plants, at all")
     expected = f"""\
 0.99       M_max
 {tables.grid_M:<11.5g}sigma_max(M), on the grid, of plant 1 at 0.01 rad/s
 {between.sigma:<11.5g}sigma_max(M), estimated, of plant {between.plant} at {between.omega:.4g} rad/s
+{below.sigma:<11.5g}sigma_max(M), assumed below the first sample, of plant {below.plant} at \
+{below.omega:.4g} rad/s
 {above.sigma:<11.5g}sigma_max(M), assumed, of plant 0 at 2 rad/s
 5          L_max
 {tables.grid_L:<11.5g}sigma_max(L), on the grid
@@ -64,6 +68,8 @@ mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s
 {tables.value:<11.5g}objective
 {tables.lower_bound:<11.5g}lower bound of the objective
 mean of sigma_max(M) of the nominal plant over the band: {tables.mean_M:.4f}, from 0.01 to 0.1 rad/s
+assumed: below 0.01 rad/s P is within {100 * moves:.2g} % of a straight line from P there to its \
+real part at rest
 assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.1714 at most, at any phase
 assumed: between omega, cubic splines miss P by no more than they miss samples that are left out, \
 over log omega"""
@@ -76,7 +82,7 @@ over log omega"""
     ("gap", "M", "L", "anywhere", "codes"),
     [
         (0.99e-6, 1 + 0.99e-9, 1 + 0.99e-9, 0.924, ""),
-        (1.01e-6, 1 + 1.01e-9, 1 + 1.01e-9, 0.924, "gap, M, L"),
+        (1.01e-6, 1 + 1.01e-9, 1 + 1.01e-9, 0.924, "gap, on the grid, on the grid"),
         (0, 1, 1, 0.926, "between"),
         (0, 1, 1, 1 - 1e-15, "between"),
         (0, 1, 1, 1.0, "one or more"),
@@ -86,7 +92,7 @@ def test_a_certificate_fails_and_warns_from_its_limits_on(good, gap, M, L, anywh
     """Relative passes of 1e-6 and 1e-9; one anywhere; a quarter of the room between M and one."""
     peak = replace(good.peak, sigma=anywhere, omega=0.25)
     on_grid = replace(good.peaks["on the grid"], sigma=0.9 * M)
-    asked = {"grid_L": 50 * L, "lower_bound": good.value * (1 - gap)}
+    asked = {"sigma_L": good.sigma_L * 50 * L / good.grid_L, "lower_bound": good.value * (1 - gap)}
     changed = replace(good, peaks={"on the grid": on_grid, "proven": peak}, **asked)
     found = changed.failures + changed.warnings
     assert ", ".join(one.code for one in found) == codes
@@ -132,7 +138,7 @@ def test_between_the_samples_the_radius_is_interpolated(model):
     dense = np.union1d(np.geomspace(1e-3, np.pi, 2001)[1:-1], near.clip(2e-3, 3.14))
     wide = np.interp(np.log(dense), np.log(OMEGA), radius)
     worst = design.check(MODELS[0], dense, uncertainty=wide).sigma.max()
-    assert certificate.rate == pytest.approx(max(worst, certificate.grid_M), rel=1e-6)
+    assert certificate.all_M == pytest.approx(max(worst, certificate.grid_M), rel=1e-6)
     assert certificate.all_M > design.sigma_M.max()
     assert ("proven" in certificate.peaks) == model
 

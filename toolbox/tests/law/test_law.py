@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,10 +17,12 @@ from ilctools import (
     Law,
     LearningFilter,
     NormOptimal,
+    convergence,
     record,
     synthesise,
     zero_phase_butterworth,
 )
+from ilctools.base import RegularisedInverse
 
 Q = zero_phase_butterworth(2, 0.1, 1.0)
 ONE = LearningFilter([[[1.0, -0.5]]], 1.0)
@@ -90,3 +93,23 @@ def test_an_L_for_trials_of_another_length_is_refused_before_any_is_run():
     with pytest.raises(ValueError, match="100"):
         record(rig, loop, law, np.zeros(160), trials=2)
     assert not rig.sent
+
+
+TALL = control.ss(0.5, [[1.0]], [[1.0], [2.0]], 0, 1.0)  # two outputs, one input
+WIDE = control.ss(0.5, [[1.0, 2.0]], [[1.0]], 0, 1.0)
+
+
+@pytest.mark.parametrize(("P", "numbers"), [(TALL, "2 .* 1 input,"), (WIDE, "1 output and 2")])
+def test_an_L_of_a_plant_that_is_not_square_is_refused(P, numbers):
+    """One change would be added to both channels."""
+    L, plant = NormOptimal(P, 0.1, 30), control.append(lag(0.5), lag(0.8))
+    for refuses in (lambda: Law(Q, L), lambda: convergence(plant, Q, L)):
+        with pytest.raises(ValueError, match=f"(of a plant with {numbers}|acts on 1 )"):
+            refuses()
+
+
+def test_a_base_that_is_not_square_is_refused():
+    """As one of a file may be."""
+    P = control.ss(0.5, [[1.0, 2.0]], [[1.0]] * 3, 0, 1.0)
+    with pytest.raises(ValueError, match="P has 3 outputs and 2 inputs"):
+        RegularisedInverse(P, 0.1, [1.0, 1.0])

@@ -19,7 +19,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.law.limits import WEIGHT
+from ilctools.law.limits import WEIGHT, LimitsOf
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 
@@ -169,3 +169,27 @@ def test_without_a_model_commands_are_cut_off():
     w = np.clip(reference + replace(law, limits=None).next(first, e), low, high)
     assert_allclose(v[:-4], (w - reference)[:-4], atol=1e-12)
     assert not v[-4:].any()
+
+
+FOLLOWED = {"pump A": (-2.0, 2.0), "pump B": (-3.0, 3.0)}  # by a rig
+OWN = {"pump A": (-1.0, 1.0)}
+ON_RIG = [(None, FOLLOWED), ({}, {}), (OWN, FOLLOWED | OWN)]
+
+
+@pytest.mark.parametrize(("limits", "expected"), ON_RIG)
+def test_on_a_rig_its_limits_hold_where_the_law_states_none_and_never_for_none_at_all(
+    limits, expected
+):
+    law = replace(TANKS[0], limits=limits)
+    on_rig = law.on_rig(FOLLOWED)
+    assert on_rig.limits == on_rig.known_limits == expected
+    assert on_rig.on_rig(FOLLOWED).limits == expected
+    assert law.on_rig({}).known_limits == law.known_limits == (limits or {})
+    assert (law.actuators is None) == (not limits)
+
+
+def test_limits_that_are_left_to_a_rig_say_so():
+    law = Law(Q, None)
+    assert law.limits is LimitsOf.RIG and "limits=the rig's" in repr(law)
+    assert replace(law, gain=0.5).limits is LimitsOf.RIG
+    assert replace(law, limits={}).limits == {} and replace(law, limits=None).limits == law.limits

@@ -1,13 +1,26 @@
-"""The loop noted in a log."""
+"""Loops and laws noted in a log, and in a file of a law."""
 
 import json
+from dataclasses import replace
 
 import control
 import numpy as np
 import pytest
 
-from ilctools import Law, current_trial_loop, load_log, run_trials, save_log, zero_phase_butterworth
+from ilctools import (
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    law_of,
+    load_law,
+    load_log,
+    run_trials,
+    save_law,
+    save_log,
+    zero_phase_butterworth,
+)
 from ilctools.errors import LogError
+from ilctools.law.limits import LimitsOf
 from ilctools.law.notes import loop_note, loop_of, with_law
 
 UNITS = {"depth, ϑ": "mm", 'the "valve"': "l/min", "rain": "l/s"}
@@ -58,3 +71,55 @@ def test_the_loop_of_other_signals_or_units_is_refused():
         with pytest.raises(LogError, match=message):
             loop_of(other)
     assert loop_note(loop_of(run.assign_coords(output_unit=("channel", [""])))) == loop_note(LOOP)
+
+
+LAW = Law(zero_phase_butterworth(2, 0.1, 0.1), LearningFilter([[[0.5]]], 0.1))
+VALVE = {'the "valve"': (-1.0, 1 / 3)}
+STATED = [  # as a user states them, what the law has, and what its file says
+    (None, LimitsOf.RIG, None),
+    ({}, {}, {}),
+    (VALVE, VALVE, {'the "valve"': [-1.0, 1 / 3]}),
+]
+
+
+@pytest.mark.parametrize(("limits", "meant", "noted"), STATED)
+def test_a_file_keeps_whose_limits_a_law_has(limits, meant, noted, tmp_path):
+    """The rig's, none at all, or its own: what `record` makes of them differs."""
+    path, again = tmp_path / "law.json", tmp_path / "again.json"
+    save_law(path, replace(LAW, limits=limits))
+    assert json.loads(path.read_text()).get("actuators") == noted
+    law = load_law(path)
+    assert law.limits == meant
+    save_law(again, law)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_file_of_a_law_with_the_limits_of_the_rig_has_the_bytes_that_it_always_had(tmp_path):
+    """Written out as the first version of the toolbox wrote it."""
+    save_law(tmp_path / "law.json", Law(LAW.Q, LAW.L, rest=3), note="old")
+    Q = {"order": 2, "cutoff": 0.1, "ends": "zero"}
+    L = {"coefficients": [[[0.5]]], "ends": "zero"}
+    content = {"format": "rodlib law 1", "Ts": 0.1, "Q": Q, "L": L, "rest": 3, "note": "old"}
+    content |= {"sections": LAW.Q.sections.tolist()}
+    expected = json.dumps(content, indent=1) + "\n"
+    assert (tmp_path / "law.json").read_text() == expected
+
+
+@pytest.mark.parametrize("limits", [None, {}])
+def test_a_log_without_limits_was_made_without_any(limits):
+    """What the rig's limits were is known when a trial ends: a log leaves nothing to a rig."""
+    run = trials_of(LOOP)
+    noted = with_law(run, Law(LAW.Q, LAW.L, limits=limits, loop=LOOP))
+    assert "actuators" not in noted.attrs and law_of(noted).limits == {}
+
+
+@pytest.mark.parametrize(("first", "log", "law"), [(1, 2, 1), (-1, 3, 2)])
+def test_a_filter_that_looks_back_is_noted_in_the_newer_formats(first, log, law, tmp_path):
+    L = LearningFilter([[[0.1, 0.2]]], LOOP.Ts, first=first)
+    ours, path = Law(zero_phase_butterworth(2, 1.0, LOOP.Ts), L), tmp_path / "file"
+    save_law(path, ours)
+    assert json.loads(path.read_text())["format"] == f"rodlib law {law}"
+    assert load_law(path).L.first == first
+    path.unlink()
+    save_log(with_law(trials_of(LOOP), ours), path)
+    assert path.read_text().startswith(f"# format: rodlib trial log {log}\n")

@@ -113,18 +113,6 @@ def test_compressed_tables_are_read_by_their_names_and_else_named(tmp_path):
         read(path)
 
 
-@pytest.mark.parametrize("note", ["1.0", "s", "", "1.0 s s"])
-def test_a_sampling_period_without_a_unit_says_how_it_is_written(tmp_path, log, note):
-    path = tmp_path / "log.csv"
-    assert "# Ts: 1.0 s\n" in log
-    path.write_text(log.replace("# Ts: 1.0 s\n", f"# Ts: {note}\n"), encoding="utf-8")
-    with pytest.raises(LogError, match=f"Ts is '{note}', but must be a number and a unit"):
-        load_log(path)
-    path.write_text(log.replace("# Ts: 1.0 s\n", ""), encoding="utf-8")
-    with pytest.raises(LogError, match="Ts is '', but must be a number and a unit"):
-        load_log(path)
-
-
 @pytest.mark.parametrize(("unit", "second"), [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
 @pytest.mark.parametrize("begin", [1.0e9, 1.7e9, 4.0e9])  # 2001, 2023, 2096
 def test_a_clock_since_1970_in_a_finer_unit_is_not_one_in_s(unit, second, begin):

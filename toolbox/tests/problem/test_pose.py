@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from plants import bump, furnace, lags
+from plants import bump, furnace, lag, lags
 from problems import posed
 
 from ilctools import current_trial_loop, synthesise, zero_phase_butterworth
@@ -75,7 +75,8 @@ def singular(dead):
 REFUSED = [  # arguments, and how the message begins
     ({"scale": [1.0, 0.0]}, "scale = "),
     ({"P": FEW}, "P is known at 3 frequencies"),
-    ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts"),
+    ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True must be Ts"),
+    ({"P": control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA, 2.0)}, "P.dt = 2.0 must be Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),
     ({"P": []}, "P = .* holds no plant"),
     ({"P": singular(np.s_[:, 0])}, "P is singular at omega = "),
@@ -96,3 +97,10 @@ def test_what_does_not_fit_is_refused(changes, message):
     plain = {"P": COUPLED, "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND}
     with pytest.raises(ValueError, match=f"^{message}"):
         posed(**plain | changes)
+
+
+@pytest.mark.parametrize("Q", [None, zero_phase_butterworth(2, 0.3, 1.0)])
+def test_no_bound_on_M_is_taken_before_it_is_checked(Q):
+    """Without Q, the cut-off follows from it."""
+    with pytest.raises(ValueError, match=r"^M_max = '1' must be in \(0, 1\)"):
+        synthesise(lag(), Q, M_max="1")

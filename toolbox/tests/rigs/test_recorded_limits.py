@@ -23,7 +23,6 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from ilctools.measurement.record import Record
-from ilctools.rigs.controlled import ControlledRig
 
 CASES = {  # loop, cut-off, heights, limits
     "stage": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0)}),
@@ -86,10 +85,14 @@ def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial
     with pytest.raises(ValueError, match="see its actuators"):
         record(rig, loop, law, reference, path=path)
     narrow = {"pump A": (-1.0, 1.0)}  # the rig's own stand for the others
-    controlled = ControlledRig(
-        rig, loop, reference[None], replace(law, limits=narrow).bound_to(loop)
-    )
-    assert controlled.law.limits == rig.limits | narrow
+    narrower = replace(law, limits=narrow)
+    sent = len(rig.sent)
+    log = record(rig, loop, narrower, reference, trials=1)
+    low, high = np.transpose([(rig.limits | narrow)[name] for name in loop.commands])
+    np.testing.assert_array_equal(log.applied, np.clip(log.u, low, high))
+    np.testing.assert_array_equal(log.applied[0], rig.sent[sent : sent + len(reference)])
+    cut_off = (log.u != log.applied).any(("trial", "time"))
+    assert cut_off.values.all()  # at a limit of the law, and at one of the rig
     rig.limits = {"fan": (0, 1)}
     with pytest.raises(ValueError, match=r"rig\.limits is about"):
         record(rig, loop, law, reference)

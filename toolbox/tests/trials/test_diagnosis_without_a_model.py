@@ -6,7 +6,7 @@ import warnings
 import control
 import numpy as np
 import pytest
-from plants import RestartingModel, altered
+from plants import RestartingModel
 
 from ilctools import (
     ClosedLoop,
@@ -29,31 +29,37 @@ PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
 REFERENCE = 20 * np.sin(np.pi * np.clip(np.arange(-50, 350) / 250, 0, 1)) ** 4
 RADIUS = 0.1  # of sigma_max(Delta), where P(0) = 1
+CUTOFF = zero_phase_butterworth(2, 40.0, 0.01)
+LOW = zero_phase_butterworth(2, 20.0, 0.01)
+OMEGA = np.geomspace(0.04, np.pi / 0.01, 200)
 
 
-def axis(gain=1.0, seed=0):
-    return RestartingModel(control.ss(gain * PLANT, inputs=["w1"]), noise=0.002, seed=seed)
+def table_of(plant):
+    """Its response (frequency, output, input) on OMEGA."""
+    return np.moveaxis(plant(np.exp(0.01j * OMEGA), squeeze=False), -1, 0)
+
+
+def axis(gain=1.0, plant=PLANT, noise=0.002):
+    return RestartingModel(control.ss(gain * plant, inputs=["w1"]), noise=noise)
 
 
 @pytest.fixture(scope="module")
 def law():
-    omega = np.geomspace(0.04, np.pi / 0.01, 200)
-    table = control.frd(PLANT(np.exp(0.01j * omega)), omega)
-    P = measured_response(table, uncertainty=np.full(200, RADIUS))
-    return synthesise(P, zero_phase_butterworth(2, 40.0, 0.01), omega).law()
+    P = measured_response(control.frd(PLANT, OMEGA), uncertainty=np.full(200, RADIUS))
+    return synthesise(P, CUTOFF, OMEGA).law()
 
 
 @pytest.mark.parametrize("gain", [0.4, 1.8])
 def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
     with pytest.warns(UserWarning, match="after trial [34]: the convergence rate"):
-        log = record(axis(gain), LOOP, law, REFERENCE, trials=6)
+        log = record(axis(gain), LOOP, law, REFERENCE, trials=4)
     assert not replay(log).warnings  # a log has no P
 
 
-@pytest.mark.parametrize(("gain", "seed"), [(1.0, 0), (0.92, 1), (1.08, 2)])
-def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
+@pytest.mark.parametrize("gain", [0.92, 1.08])
+def test_a_plant_within_the_radius_is_not_warned_of(law, gain):
     with warnings.catch_warnings(action="error"):
-        record(axis(gain, seed), LOOP, law, REFERENCE, trials=6)
+        record(axis(gain), LOOP, law, REFERENCE, trials=6)
 
 
 def test_the_rate_is_that_of_the_worst_plant_within_the_radius(law):
@@ -64,25 +70,29 @@ def test_the_rate_is_that_of_the_worst_plant_within_the_radius(law):
     np.testing.assert_allclose(largest_M(law, P), expected, rtol=1e-9)
 
 
+def coupled(gain=1.0):
+    """Two axes that move each other."""
+    two = control.append(PLANT, 0.5 * PLANT)
+    return control.ss(two.A, gain * two.B, [[1, 0.4], [0.3, 1]] @ two.C, 0, 0.01)
+
+
 @pytest.mark.parametrize("choices", [{"base": None}, {"scale": [1.0, 3.0], "base": 0.1}])
 def test_trials_of_a_list_are_judged_by_each_of_its_plants(choices):
-    two = control.append(PLANT, PLANT)
-    coupled = control.ss(two.A, two.B, [[1, 0.2], [0, 1]] @ two.C, 0, 0.01)
-    *plants, other = (altered(coupled, B=gain) for gain in (1.0, 1.5, 0.8, 0.4))
-    design = synthesise(plants, zero_phase_butterworth(2, 20.0, 0.01), **choices)
+    plants = [coupled(gain) for gain in (1.0, 1.5, 0.8)]
+    design = synthesise(plants, LOW, **choices)
     task = ClosedLoop(plants[0]), design.law(), np.column_stack([REFERENCE, -REFERENCE])
     with warnings.catch_warnings(action="error"):
         for plant in plants:
-            run_trials(*task, plant=plant)
+            run_trials(*task, plant=plant, trials=6)
     with pytest.warns(UserWarning, match="the convergence rate is not the predicted one"):
-        run_trials(*task, plant=other)
+        run_trials(*task, plant=coupled(0.4), trials=6)
 
 
 @pytest.mark.parametrize("gain", [1.0, 2.5])
 def test_what_Q_forgets_of_a_given_v_is_no_divergence(gain):
     """And a law that diverges is warned of after a transfer, too."""
     loop, later = ClosedLoop(PLANT), np.roll(-REFERENCE, 30)
-    law = synthesise(loop, zero_phase_butterworth(2, 20.0, 0.01)).law()
+    law = synthesise(loop, LOW).law()
     v = transfer(run_trials(loop, law, REFERENCE, trials=6), later).v
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
@@ -93,21 +103,12 @@ def test_what_Q_forgets_of_a_given_v_is_no_divergence(gain):
 
 
 def test_trials_that_differ_by_noise_alone_leave_v_uncertain():
-    task = ClosedLoop(PLANT), Law(zero_phase_butterworth(2, 20.0, 0.01), None), REFERENCE
+    task = ClosedLoop(PLANT), Law(LOW, None), REFERENCE
     noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 400, 1))
     trials = [run_trials(*task, trials=1, noise=white[None]) for white in noise]
     with pytest.warns(UserWarning, match="may be off by") as seen:
         assert len(repr(transfer(trials, -REFERENCE))) < 200
     assert len(seen) == 1
-
-
-CUTOFF = zero_phase_butterworth(2, 40.0, 0.01)
-OMEGA = np.geomspace(0.04, np.pi / 0.01, 200)
-
-
-def sampled(plant):
-    """Its response (frequency, output, input) on OMEGA."""
-    return np.moveaxis(plant(np.exp(0.01j * OMEGA), squeeze=False), -1, 0)
 
 
 def of_file(law, tmp_path):
@@ -117,9 +118,8 @@ def of_file(law, tmp_path):
 
 
 LAWS = {
-    "model": lambda path: synthesise(PLANT, CUTOFF).law(),
     "filter": lambda path: synthesise(PLANT, CUTOFF, order=20).law(),
-    "table": lambda path: synthesise(sampled(PLANT), CUTOFF, OMEGA, 0.01).law(),
+    "table": lambda path: synthesise(table_of(PLANT), CUTOFF, OMEGA, 0.01).law(),
     "file": lambda path: of_file(synthesise(PLANT, CUTOFF).law(), path),
     "norm-optimal": lambda path: Law(CUTOFF, NormOptimal(PLANT, 0.01, len(REFERENCE))),
 }
@@ -131,20 +131,18 @@ def law_alone(request, tmp_path):
     return LAWS[request.param](tmp_path)
 
 
-@pytest.mark.parametrize("unit", [1e-3, 1 / 25.4])
-def test_an_output_in_another_unit_than_the_reference_is_noticed(law_alone, unit):
-    """The reference in mm, y in m or inch: learning would take hundreds of trials."""
+def test_an_output_in_another_unit_than_the_reference_is_noticed(law_alone):
+    """The reference in mm, y in m: learning would take hundreds of trials."""
     with pytest.warns(UserWarning, match="is a signal in another unit") as seen:
-        run = record(axis(unit), LOOP, law_alone, REFERENCE, trials=4)
-    [text] = [str(w.message) for w in seen]
+        record(axis(1e-3), LOOP, law_alone, REFERENCE, trials=4)
+    [text] = [str(w.message) for w in seen]  # once, though trial 4 shows it, too
+    assert seen[0].filename == __file__
     assert text.startswith("after trial 3: the convergence rate") and "even if P is wrong" in text
     came = float(re.search(r"of the changes that this predicts, (\S+) in x came", text)[1])
-    assert came == pytest.approx(unit, rel=0.05)  # two digits, and noise
-    assert rms(run).values[-1] > 0.8 * rms(run).values[0]
+    assert came == pytest.approx(1e-3, rel=0.05)  # two digits, and noise
 
 
-@pytest.mark.parametrize("reset", [True, False])
-@pytest.mark.parametrize("stuck", [0.0, -40.0])
+@pytest.mark.parametrize(("stuck", "reset"), [(0.0, True), (-40.0, False)])
 def test_an_output_that_does_not_move_is_named_after_the_first_trial(stuck, reset):
     """Once, though it never moves in any trial; the other output, which does, is not named."""
     two = control.append(PLANT, PLANT)
@@ -153,53 +151,43 @@ def test_an_output_that_does_not_move_is_named_after_the_first_trial(stuck, rese
     rig = RestartingModel(control.ss(two, inputs=loop.references), noise=0.002)
     outputs = rig.read
     rig.read = lambda: [outputs()[0], stuck]
-    task = rig, loop, law, np.column_stack([REFERENCE, REFERENCE])
+    task = rig, loop, law, np.column_stack([REFERENCE, REFERENCE]) + 5.0
     with warnings.catch_warnings(record=True, action="always") as seen:
         record(*task, trials=3, reset=reset, stop={"y": None})
     [text] = [str(w.message) for w in seen if "did not move" in str(w.message)]
-    moves = np.std(control.forced_response(PLANT, inputs=REFERENCE).outputs)
+    moves = np.ptp(control.forced_response(PLANT, inputs=REFERENCE).outputs)
     assert text.startswith("after trial 1: y did not move in trial 1, where the model predicts")
-    assert float(re.search(r"movement of (\S+) \(RMS\)", text)[1]) == pytest.approx(moves, rel=0.01)
+    assert float(re.search(r"movement of (\S+):", text)[1]) == pytest.approx(moves, rel=0.01)
     assert not any("not the predicted one" in str(w.message) for w in seen)
 
 
-def test_an_output_that_stands_still_as_it_should_or_within_its_resolution_is_not_dead():
-    """A reference at rest, and a sensor with steps of a millimetre."""
-    law = synthesise(PLANT, CUTOFF).law()
-    coarse, level = axis(), np.full(400, 5.05)
-    coarse.read = lambda: np.round(PLANT.C @ coarse.x)
-    rest = np.linalg.solve(np.eye(2) - PLANT.A, PLANT.B)[:, 0]
-    coarse.begin = lambda trial: setattr(coarse, "x", 5.05 * rest)
+def test_an_output_that_stands_still_as_its_reference_does_is_not_dead():
+    """As a sensor with steps of a millimetre, where v moves the plant by less."""
+    law, rig = synthesise(PLANT, CUTOFF).law(), axis()
+    rig.read = lambda: [5.0]
     with warnings.catch_warnings(action="ignore"):
-        log = record(coarse, LOOP, law, level, trials=3)
-    assert np.all(log.y == 5) and log.v.values.any()
-    assert "dead" not in diagnose(log, law.bound_to(LOOP), first=1)
+        log = record(rig, LOOP, law, np.full(400, 5.05), trials=3)
+    assert log.v.values.any() and "dead" not in diagnose(log, law.bound_to(LOOP), first=1)
 
 
-SLOWER = control.ss(control.tf([256], [1, 16, 256])).sample(0.01)  # by a quarter
-FASTER = control.ss(control.tf([676], [1, 26, 676])).sample(0.01)  # by 30 %
-
-
-@pytest.mark.parametrize("plant", [0.75 * PLANT, 1.3 * PLANT, SLOWER, FASTER])
-def test_a_plant_that_is_wrong_by_a_quarter_and_converges_is_no_news(law_alone, plant):
-    rig = RestartingModel(control.ss(plant, inputs=["w1"]), noise=0.01)
+@pytest.mark.parametrize(("gain", "omega"), [(0.75, 20), (1.3, 20), (1, 16), (1, 26)])
+def test_a_plant_that_is_wrong_by_a_quarter_and_converges_is_no_news(law_alone, gain, omega):
+    """In its gain, or slower or faster than the model, whose omega is 20 rad/s."""
+    plant = control.ss(control.tf([omega**2], [1, omega, omega**2])).sample(0.01)
     with warnings.catch_warnings(action="error"):
-        run = record(rig, LOOP, law_alone, REFERENCE, trials=6)
+        run = record(axis(gain, plant, noise=0.01), LOOP, law_alone, REFERENCE, trials=6)
     assert rms(run).values[-1] < 0.1 * rms(run).values[0]
 
 
-def test_a_plant_is_judged_by_the_models_in_a_law_that_was_read(tmp_path):
-    """In the outputs' own units; not by those of a diagonal filter, which know no coupling."""
-    two = control.append(PLANT, 0.5 * PLANT)
-    coupled = control.ss(two.A, two.B, [[1, 0.4], [0.3, 1]] @ two.C, 0, 0.01)
-    plants, Q = [coupled, altered(coupled, B=1.2)], zero_phase_butterworth(2, 20.0, 0.01)
-    design = synthesise(plants, Q, scale=[1.0, 7.0])
-    known = known_plants(of_file(design.law(), tmp_path))
-    for P, plant in zip(known, plants, strict=True):
-        response, radius = P(OMEGA)
-        expected = sampled(plant)
-        np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-        assert not radius.any()
-    diagonal = synthesise(coupled, Q, structure="diagonal")
+@pytest.mark.parametrize("gains", [[1.0], [1.0, 1.2]])
+def test_a_plant_is_judged_by_the_mean_model_in_a_law_that_was_read(tmp_path, gains):
+    """In the outputs' own units; not by that of a diagonal filter, which knows no coupling."""
+    design = synthesise([coupled(gain) for gain in gains], LOW, scale=[1.0, 7.0])
+    [P] = known_plants(of_file(design.law(), tmp_path))
+    response, radius = P(OMEGA)
+    expected = np.mean([table_of(coupled(gain)) for gain in gains], axis=0)
+    np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    assert not radius.any()
+    diagonal = synthesise(coupled(), LOW, structure="diagonal")
     assert len(known_plants(diagonal.law())) == 1
     assert not known_plants(of_file(diagonal.law(), tmp_path))

@@ -29,24 +29,21 @@ INSIDE = 0.05  # share of b that a first share leaves to M, and to H, at least
 class Bound:
     """A bound on G = F + T L, of shape (p, q, c), at some frequencies."""
 
-    F: np.ndarray  # with p = q for the plain one, p = 2 q for that with a radius
+    F: np.ndarray  # with p = q for the plain one, p = 2 q for the one with a radius
     T: np.ndarray
     at: np.ndarray  # (c,): index of the frequency of each column
     level: np.ndarray  # (c,): number of b at each column among the program's t and limits
-
-    @property
-    def within_radius(self):
-        """Whether there is a number d for each column."""
-        return len(self.F) > self.F.shape[1]
+    within_radius: bool  # whether there is a number d for each column
 
     @property
     def of_b(self):
         """Lambda = diag(of_b b + of_d d), (p,): 1 for the rows of M."""
-        return (np.arange(len(self.F)) < self.F.shape[1]).astype(float)
+        rows_of_M = self.F.shape[1] if self.within_radius else len(self.F)
+        return (np.arange(len(self.F)) < rows_of_M).astype(float)
 
     @property
     def of_d(self):
-        """-1 for the rows of M and 1 for those below; zero if the bound is plain, (p,)."""
+        """-1 for the rows of M and 1 for the rows of H; zero if the bound is plain, (p,)."""
         return (1 - 2 * self.of_b) * self.within_radius
 
     def diagonal(self, b, d):
@@ -70,12 +67,7 @@ class Bound:
 
 def product(A, B):
     """A B at each frequency."""
-    if A.shape[0] * B.shape[1] > 36:  # large enough for BLAS
-        return np.matmul(A, B, axes=[(0, 1)] * 3)
-    C = A[:, 0, None] * B[0]
-    for j in range(1, len(B)):
-        C += A[:, j, None] * B[j]
-    return C
+    return np.einsum("ijn,jkn->ikn", A, B)
 
 
 def adjoint(A):

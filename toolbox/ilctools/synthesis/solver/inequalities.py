@@ -18,31 +18,26 @@ class Slack:
 
     def __init__(self, diagonal, b, G):
         p = len(G)
-        self.diagonal, self.b, self.G = diagonal, b, G
-        self.scaled = G * (1 / diagonal)[:, None]  # Lambda^-1 G
-        A = complement(b, G, self.scaled)
-        self.inverse = hermitian(np.moveaxis(np.linalg.inv(np.moveaxis(A, -1, 0)), 0, -1))
-        lower = -product(self.inverse, adjoint(self.scaled))
-        upper = -product(self.scaled, lower)
+        scaled = G * (1 / diagonal)[:, None]  # Lambda^-1 G
+        A = complement(b, G, scaled)
+        inverse = hermitian(np.moveaxis(np.linalg.inv(np.moveaxis(A, -1, 0)), 0, -1))
+        lower = -product(inverse, adjoint(scaled))
+        upper = -product(scaled, lower)
         upper[range(p), range(p)] += 1 / diagonal
-        self.X = stacked(upper, adjoint(lower), lower, self.inverse)
+        self.X = stacked(upper, adjoint(lower), lower, inverse)
 
     def sandwich(self, Y, diagonal, b, G):
-        """Hermitian part of Y dS X, for the parts of a change dS.
+        """Hermitian part of Y dS X, for the parts of a change dS."""
+        return hermitian(product(product(Y, assembled(diagonal, b, G)), self.X))
 
-        Near the solution X is very large where dS nearly vanishes. The differences of
-        dS [-Lambda^-1 G; I] take care of that cancellation before they are multiplied by A^-1. So
-        rounding errors leave the small eigenvalues of Y alone.
-        """
-        p, q, _ = G.shape
-        change = np.concatenate(
-            [G - diagonal[:, None] * self.scaled, -product(adjoint(G), self.scaled)]
-        )
-        change[range(p, p + q), range(q)] += b
-        right = product(product(Y, change), self.inverse)
-        left = Y[:, :p] * diagonal + product(Y[:, p:], adjoint(G))
-        left = left * (1 / self.diagonal) - product(right, adjoint(self.scaled))
-        return hermitian(np.concatenate([left, right], axis=1))
+
+def assembled(diagonal, b, G):
+    """[[Lambda, G], [G^H, b I]] of its parts."""
+    p, q, _ = G.shape
+    S = np.zeros((p + q, p + q, G.shape[2]), dtype=complex)
+    S[:p, p:], S[p:, :p] = G, adjoint(G)
+    S[range(p), range(p)], S[range(p, p + q), range(p, p + q)] = diagonal, b
+    return S
 
 
 def complement(b, G, scaled):
@@ -79,12 +74,16 @@ def is_inside(diagonal, b, G):
 
 
 def positive_definite(A):
-    """Which of the Hermitian matrices are positive definite. They are overwritten."""
+    """Which of the Hermitian matrices are positive definite: all pivots are positive.
+
+    Gaussian elimination on all of them at once takes a fifth of the time of their eigenvalues.
+    """
+    A = A.copy()
     positive = A[0, 0].real > 0
-    for k in range(1, len(A)):  # Gaussian elimination
+    for k in range(1, len(A)):
+        pivot = np.where(positive, A[k - 1, k - 1].real, 1)
         column = A[k:, k - 1]
-        row = column.conj() * (1 / np.where(positive, A[k - 1, k - 1].real, 1))
-        A[k:, k:] -= column[:, None] * row
+        A[k:, k:] -= column[:, None] * (column.conj() / pivot)
         positive &= A[k, k].real > 0
     return positive
 

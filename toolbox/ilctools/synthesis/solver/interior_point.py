@@ -40,6 +40,9 @@ Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as 
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,10 +59,11 @@ from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 GAP = 2e-9  # relative gap at which to stop
 STATIONARY = 0.1  # part of the gap by which rounding may keep (2) from holding
 CORRECTIONS = 10  # of a direction for that
-STEPS, MOVING = 100, 40  # at most, and with limits that are moved
-STAGNANT = 8  # steps without a smaller gap after which to stop
+MOST_STEPS, MOST_MOVING = 100, 40  # at most, and with limits that are moved
+MOST_STAGNANT = 8  # steps without a smaller gap after which to stop
+UNIT = 1e-4  # of the cost without learning: a smaller objective is as good as zero
 CLOSE = 1e-6  # part of a bound by which one below it may miss the proof that none can be met
-SHORT = 0.01  # step from which on there is no progress
+SHORTEST = 0.01  # step below which there is no progress
 ACCURACY = 0.02  # of a step's length, relative
 
 
@@ -111,6 +115,11 @@ class Point:
         return self.program.cost @ self.t
 
     @property
+    def within_limits(self):
+        """Whether no limit is moved out."""
+        return (self.limits == self.program.limits).all()
+
+    @cached_property
     def complementarity(self):
         """sum <S, Y> + (limit - t) . eta."""
         pairs = zip(self.S, self.Y, strict=True)
@@ -149,7 +158,7 @@ def begin(program, x):
     d = [b * share for b, share in zip(program.at_columns(t, limits), shares, strict=True)]
     p = Point(program, x, t, limits, d, G, [], t)
     X = [Slack(*S).X for S in p.S]
-    has_t = program.at_columns(np.ones(len(t)), [0, 0])
+    has_t = program.at_own_t(np.ones(len(t)))
     size = sum(np.einsum("iin,n->", X_j, at).real for X_j, at in zip(X, has_t, strict=True))
     mu = 5 * program.cost.sum() / size
     return replace(p, Y=[mu * X_j for X_j in X], eta=mu / p.room)
@@ -167,8 +176,8 @@ class Newton:
         triples = zip(self.slacks, Y, dS, strict=True)
         return [slack.sandwich(Y_j, *dS_j) for slack, Y_j, dS_j in triples]
 
-    def known(self, mu, predictor):
-        """Of (5), dY and deta but for what follows dx, dt and dd; and the way of the limits."""
+    def without_unknowns(self, mu, predictor):
+        """(5) for dx = dt = dd = 0: dY, deta, and the way of the limits."""
         p = self.p
         toward = p.program.limits - p.limits
         dY = [mu * slack.X - Y for slack, Y in zip(self.slacks, p.Y, strict=True)]
@@ -199,7 +208,7 @@ class Newton:
         What rounding has left of the residual of (2) is removed by conjugate residuals [5]: each
         correction is made orthogonal, in its effect, to those before.
         """
-        d = self.known(mu, predictor)
+        d = self.without_unknowns(mu, predictor)
         d = d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
         if tolerance is None:
             return d
@@ -233,13 +242,13 @@ def step_lengths(p, direction):
     return primal, dual
 
 
-def mehrotra(p, total):
+def mehrotra(p):
     """The direction of Mehrotra's method from p; None if it is not accurate enough."""
     try:
         newton = Newton(p)
     except np.linalg.LinAlgError:
         return None
-    predictor = newton.direction(0.0)
+    total, predictor = p.complementarity, newton.direction(0.0)
     primal, dual = step_lengths(p, predictor)
     remaining = p.moved(predictor, primal, dual).complementarity / total
     sigma = min(1, max(remaining, 0)) ** (1 + 2 * min(primal, dual) ** 2)
@@ -253,7 +262,7 @@ def advanced(p, direction):
     lengths = step_lengths(p, direction)
     damping = 0.9 + 0.09 * min(lengths)
     primal, dual = (1.0 if length == 1 else damping * length for length in lengths)
-    if max(primal, dual) < SHORT:
+    if max(primal, dual) < SHORTEST:
         return None
     after = p.moved(direction, primal, dual)
     # without rounding
@@ -269,52 +278,110 @@ def ruled_out(p, objective):
     return p.dual_value - x_max > objective
 
 
-def follow(p, enough=0.0):
-    """The best point on the central path within the limits, None if there is none; iterations."""
-    program, best, smallest, stagnant = p.program, None, np.inf, 0
-    idle, _ = program.without_learning()
-    unit, largest = 1e-4 * program.cost @ idle, program.cost.sum() * program.limits[0]
-    for iteration in range(STEPS):
-        total = p.complementarity
-        gap = max(total, abs(p.objective - p.dual_value))
-        if (p.limits == program.limits).all():
-            stagnant += 1
-            if gap < smallest:
-                best, smallest, stagnant = p, gap, 0
-            terminated = gap < GAP * max(p.objective, unit)
-            if terminated or p.objective < enough or stagnant == STAGNANT:
-                break
-        elif iteration > MOVING or ruled_out(p, largest):
-            break
-        direction = mehrotra(p, total)
-        if direction is None:
-            break
-        p = advanced(p, direction)
-        if p is None:
-            break
-    return best, iteration
+class Outcome(StrEnum):
+    """Why the central path was left."""
+
+    OPTIMAL = "the gap is closed"
+    ENOUGH = "the objective is low enough"
+    STAGNANT = "the gap does not get smaller"
+    RULED_OUT = "no filter meets the bounds"
+    NOT_MET = "the bounds were not met in time"
+    INACCURATE = "rounding spoils the direction"
+    SHORT = "the steps became too short"
+    TOO_MANY = "too many steps"
 
 
-def minimise(program: Program) -> Optimum:
-    """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails."""
+class Path(NamedTuple):
+    """What came of following the central path."""
+
+    best: Point | None  # the point of the smallest gap within the limits
+    outcome: Outcome
+    iterations: int
+
+
+class Monitor:
+    """Keeps the best point within the limits, and says when to leave the path."""
+
+    def __init__(self, program, enough):
+        idle, _ = program.without_learning()
+        self.unit, self.enough = UNIT * program.cost @ idle, enough
+        self.largest = program.cost.sum() * program.limits[0]
+        self.best, self.smallest_gap, self.stagnant = None, np.inf, 0
+
+    def outcome(self, p, iteration) -> Outcome | None:
+        """Why to leave the path at p; None to go on."""
+        if not p.within_limits:
+            return self._of_moved_limits(p, iteration)
+        gap = max(p.complementarity, abs(p.objective - p.dual_value))
+        self.stagnant += 1
+        if gap < self.smallest_gap:
+            self.best, self.smallest_gap, self.stagnant = p, gap, 0
+        if gap < GAP * max(p.objective, self.unit):
+            return Outcome.OPTIMAL
+        if p.objective < self.enough:
+            return Outcome.ENOUGH
+        return Outcome.STAGNANT if self.stagnant == MOST_STAGNANT else None
+
+    def _of_moved_limits(self, p, iteration):
+        if iteration > MOST_MOVING:
+            return Outcome.NOT_MET
+        return Outcome.RULED_OUT if ruled_out(p, self.largest) else None
+
+
+def follow(p, enough=0.0) -> Path:
+    """Follow the central path from p to an optimum, or to an objective that is low enough."""
+    monitor = Monitor(p.program, enough)
+    for iteration in range(MOST_STEPS):
+        outcome = monitor.outcome(p, iteration)
+        if outcome is None:
+            direction = mehrotra(p)
+            outcome = Outcome.INACCURATE if direction is None else None
+        if outcome is None:
+            p = advanced(p, direction)
+            outcome = Outcome.SHORT if p is None else None
+        if outcome is not None:
+            return Path(monitor.best, outcome, iteration)
+    return Path(monitor.best, Outcome.TOO_MANY, MOST_STEPS)
+
+
+def minimise(program: Program, nearby=None) -> Optimum:
+    """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails.
+
+    The path begins at zero; where it does not lead within the limits, at an x `nearby`, if there is
+    one, which keeps them; else at the x of phase one.
+    """
     zero = np.zeros((len(program.rows), len(program.basis)))
-    best, iterations = follow(begin(program, zero))
-    if best is None:  # phase one
-        nearest, more = follow(begin(program.minimax(), zero), enough=program.most)
-        iterations += more
-        if nearest is None:
-            raise RuntimeError(f"no point to start from after {iterations} iterations")
-        if nearest.t[0] >= program.most:
-            if not ruled_out(nearest, (1 - CLOSE) * program.most):
-                raise RuntimeError(f"neither met nor ruled out after {iterations} iterations")
-            raise Infeasible("the bounds cannot be met")
-        best, more = follow(begin(program, nearest.x))
-        iterations += more
-    if best is None:
-        raise RuntimeError(f"no filter met the bounds after {iterations} iterations")
-    if program.shared and best.t[0] > program.most:
+    path = follow(begin(program, zero))
+    iterations = path.iterations
+    if path.best is None and nearby is not None:
+        path = follow(begin(program, nearby))
+        iterations += path.iterations
+    if path.best is None:
+        nearest, more = phase_one(program, zero, iterations)
+        path = follow(begin(program, nearest.x))
+        iterations += more + path.iterations
+    if path.best is None:
+        raise RuntimeError(
+            f"no filter met the bounds after {iterations} iterations: {path.outcome}"
+        )
+    if program.shared and path.best.t[0] > program.most:
         raise Infeasible("the bounds cannot be met")
-    return optimum(best, iterations)
+    return optimum(path.best, iterations)
+
+
+def phase_one(program, zero, iterations):
+    """A point that meets the bounds, from the least largest value, and how many iterations."""
+    path = follow(begin(program.minimax(), zero), enough=program.most)
+    nearest, iterations = path.best, iterations + path.iterations
+    if nearest is None:
+        raise RuntimeError(f"no point to start from after {iterations} iterations: {path.outcome}")
+    if nearest.t[0] >= program.most:
+        if ruled_out(nearest, (1 - CLOSE) * program.most):
+            raise Infeasible("the bounds cannot be met")
+        raise RuntimeError(
+            f"neither met nor ruled out after {iterations} iterations: {path.outcome}"
+        )
+    return nearest, path.iterations
 
 
 def optimum(p, iterations):

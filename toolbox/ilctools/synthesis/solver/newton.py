@@ -25,38 +25,42 @@ EPS = np.finfo(float).eps
 
 
 class Block:
-    """One bound: its second derivatives in z, a shared t, and the entries of L, at each column."""
+    """One bound at a point: its second derivatives in z, in a shared t and in the entries of L."""
 
     def __init__(self, program, j, slack, Y, barrier):
-        bound = program.bounds[j]
-        p, q, _ = bound.F.shape
-        self.bound, self.slack, self.Y = bound, slack, Y
-        has_t = bound.level < len(program.cost)
-        self.own = has_t & (not program.shared)
-        self.of_t = np.append(bound.of_b, np.ones(q))
-        self.of_z = np.append(bound.of_d, np.zeros(q)) if bound.within_radius else self.of_t
-        overlap = (Y * slack.X.conj()).real
+        self.program, self.j, self.bound = program, j, program.bounds[j]
+        self.slack, self.Y = slack, Y
+        has_t = self.bound.level < len(program.cost)
+        self.has_shared_t, self.has_own_t = has_t & program.shared, has_t & (not program.shared)
+        of_b = np.ones(self.bound.F.shape[1])  # b stands in Lambda and below it
+        self.along_t = np.append(self.bound.of_b, of_b)
+        along_d = np.append(self.bound.of_d, 0 * of_b)
+        self.along_z = along_d if self.bound.within_radius else self.along_t
+        self._eliminate_z(barrier)
 
-        def second(a, b):
-            """<a, Y b X> for two directions in the diagonal, (c,)."""
-            return np.einsum("i,ijc,j->c", a, overlap, b)
+    def _eliminate_z(self, barrier):
+        """What (1) needs, and tt and tL less what follows z, (2)."""
+        z, t = self.along_z, self.along_t
+        zz = self._second(z, z) + np.where(self.has_own_t, barrier, 0)
+        zt = self.has_shared_t * self._second(z, t)
+        self.zL = self._mixed(z)
+        has_z = self.has_own_t | self.bound.within_radius
+        self.inverse_zz = np.where(has_z, 1 / zz, 0)
+        self.zt_by_zz = zt * self.inverse_zz
+        self.tt = self.has_shared_t @ self._second(t, t) - zt @ self.zt_by_zz  # (2)
+        self.tL = self.has_shared_t * self._mixed(t) - self.zt_by_zz * self.zL  # (2)
 
-        def mixed(a):
-            """<a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
-            a = a[:, None]
-            W = product(slack.X[p:] * a, Y[:, :p]) + product(Y[p:] * a, slack.X[:, :p])
-            return program.of_entries(j, W)
+    def _second(self, a, b):
+        """<a, Y b X> for two directions in the diagonal, (c,)."""
+        return np.einsum("i,ijc,j->c", a, (self.Y * self.slack.X.conj()).real, b)
 
-        zz = second(self.of_z, self.of_z) + np.where(self.own, barrier, 0)
-        self.inverse = np.where(self.own | bound.within_radius, 1 / zz, 0)
-        self.zL = mixed(self.of_z)
-        self.shared = has_t & program.shared
-        zt = self.shared * second(self.of_z, self.of_t)
-        self.shift = self.inverse * zt
-        self.tt = self.shared @ second(self.of_t, self.of_t) - zt @ self.shift  # (2)
-        self.tL = self.shared * mixed(self.of_t) - self.shift * self.zL
+    def _mixed(self, a):
+        """<a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
+        X, Y, a, p = self.slack.X, self.Y, a[:, None], len(self.bound.F)
+        W = product(X[p:] * a, Y[:, :p]) + product(Y[p:] * a, X[:, :p])
+        return self.program.of_entries(self.j, W)
 
-    def forms(self, program, j, k):
+    def forms(self, j, k):
         """Forms A, Hermitian, and B, symmetric, in pairs j, k of entries of L, (pairs, c).
 
         In terms of D, the off-diagonal block of dS, <dS, Y dS' X> is the real part of
@@ -68,12 +72,24 @@ class Block:
         X22, Y22 = X[p:, p:], Y[p:, p:]
         X21, Y21 = (product(S[p:, :p], T) for S in (X, Y))
         X11, Y11 = (product(adjoint(T), product(S[:p, :p], T)) for S in (X, Y))
-        row, col = program.rows[j], program.cols[j]
-        row_k, col_k = program.rows[k], program.cols[k]
+        rows, cols = self.program.rows, self.program.cols
+        row, col, row_k, col_k = rows[j], cols[j], rows[k], cols[k]
         A = Y11[row, row_k] * X22[col_k, col] + X11[row, row_k] * Y22[col_k, col]
         B = Y21[col, row_k] * X21[col_k, row] + X21[col, row_k] * Y21[col_k, row]
-        follow = 0.5 * self.inverse * self.zL[k]
-        return A - self.zL[j].conj() * follow, B - self.zL[j] * follow  # (2)
+        follows_z = 0.5 * self.inverse_zz * self.zL[k]
+        return A - self.zL[j].conj() * follows_z, B - self.zL[j] * follows_z  # (2)
+
+    def residuals(self, Y, of_own_t):
+        """r_z at each column, and r_t of a shared t, for multipliers Y; z eliminated from r_t."""
+        diagonal = np.einsum("iin->in", Y).real
+        r_z = self.along_z @ diagonal - self.has_own_t * of_own_t
+        r_t = self.along_t @ diagonal @ self.has_shared_t - self.zt_by_zz @ r_z
+        return r_z, r_t
+
+    def change_of_z(self, r_z, dt, dL):
+        """dz of (1), for changes of a shared t and of the entries of L at all frequencies."""
+        of_L = (self.zL * dL[:, self.bound.at]).real.sum(axis=0)
+        return self.inverse_zz * (r_z - of_L) - self.zt_by_zz * dt
 
 
 class NewtonSystem:
@@ -84,10 +100,9 @@ class NewtonSystem:
 
     def __init__(self, program, slacks, Y, barrier):
         self.program = program
-        at_columns = program.at_columns(barrier, [0, 0])
-        self.blocks = [
-            Block(program, j, slacks[j], Y[j], at_columns[j]) for j in range(len(program.bounds))
-        ]
+        of_own_t = program.at_own_t(barrier)
+        numbers = range(len(program.bounds))
+        self.blocks = [Block(program, j, slacks[j], Y[j], of_own_t[j]) for j in numbers]
         tL = program.onto_x([block.tL for block in self.blocks]).ravel()
         tt = sum(block.tt for block in self.blocks) + (barrier[0] if program.shared else 1)
         H = np.block([[np.array([[tt]]), tL[None]], [tL[:, None], self._of_x()]])
@@ -103,7 +118,7 @@ class NewtonSystem:
         j, k = np.triu_indices(E)
         A, B = 0, 0
         for block, incidence in zip(self.blocks, program.incidence, strict=True):
-            of_A, of_B = block.forms(program, j, k)
+            of_A, of_B = block.forms(j, k)
             A, B = A + of_A @ incidence, B + of_B @ incidence
         H, conjugate = np.empty((E, order, E, order)), program.basis.conj()
         for row, col, a, b in zip(k, j, A, B, strict=True):
@@ -116,22 +131,20 @@ class NewtonSystem:
         """The changes of x, of t and of each d for multipliers Y, eta; r_x: their residual in x."""
         program, blocks = self.program, self.blocks
         of_t = program.cost + eta
-        r_t, r_z, follow = -of_t[0] if program.shared else 0.0, [], []
-        for block, Y_j, of_own in zip(blocks, Y, program.at_columns(of_t, [0, 0]), strict=True):
-            diagonal = np.einsum("iin->in", Y_j).real
-            r = block.of_z @ diagonal - block.own * of_own
-            r_t += block.of_t @ diagonal @ block.shared - block.shift @ r
-            r_z.append(r)
-            follow.append(block.zL * block.inverse * r)
-        residual = np.append(r_t, r_x - program.onto_x(follow))
-        changes = self.scale * cho_solve(self.factor, self.scale * residual)
-        dt, dx = np.full(len(eta), changes[0]), changes[1:].reshape(r_x.shape)
-        dL, dd = dx @ program.basis, []
-        for block, r in zip(blocks, r_z, strict=True):
-            of_L = (block.zL * dL[:, block.bound.at]).real.sum(axis=0)
-            dz = block.inverse * (r - of_L) - block.shift * changes[0]  # (1)
+        columns = zip(blocks, Y, program.at_own_t(of_t), strict=True)
+        r_z, of_shared = zip(*(block.residuals(*known) for block, *known in columns), strict=True)
+        r_t = sum(of_shared) - (of_t[0] if program.shared else 0)
+        pairs = [*zip(blocks, r_z, strict=True)]
+        r_x = r_x - program.onto_x([block.zL * block.inverse_zz * r for block, r in pairs])
+        residual = np.append(r_t, r_x)
+        shared, *changes = self.scale * cho_solve(self.factor, self.scale * residual)
+
+        dx, dt, dd = np.reshape(changes, r_x.shape), np.full(len(eta), shared), []
+        dL = dx @ program.basis
+        for block, r in pairs:
+            dz = block.change_of_z(r, shared, dL)  # (1)
             dd.append(dz * block.bound.within_radius)
-            dt[block.bound.level[block.own]] = dz[block.own]
+            dt[block.bound.level[block.has_own_t]] = dz[block.has_own_t]
         return dx, dt, dd
 
 

@@ -5,8 +5,9 @@ the others are zero. The program is
 
     minimise cost . t   subject to   sigma_max(F_i + T_i L) <= b_i for all columns i,  t <= limit_0,
 
-where b_i is limit_0, limit_1 or one of the variables t. That is either a single one for many
-columns, whose largest is minimised, or one for each of some columns, whose weighted sum is.
+where b_i is one of the limits or one of the variables t. Either there is a single t for many
+columns, whose largest is minimised, or a t for each of some columns, whose weighted sum is
+minimised.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +44,7 @@ class Program:
     rows: np.ndarray  # (e,): entries of L that are not zero; x has shape (e, order)
     cols: np.ndarray
     cost: np.ndarray  # of each t
-    limits: np.ndarray  # (2,): of the bounds; the first is that of t, too
+    limits: np.ndarray  # of the bounds; the first one bounds each t, too
     most: float  # what the largest with a t or the first limit must not exceed
 
     @property
@@ -52,13 +53,17 @@ class Program:
         return len(self.cost) == 1
 
     def at_columns(self, t, limits):
-        """Numbers for each t and both limits, at the columns of each bound; so its levels b."""
+        """Numbers for each t and each limit at the columns of each bound, such as its levels b."""
         numbers = np.append(t, limits)
         return [numbers[bound.level] for bound in self.bounds]
 
+    def at_own_t(self, t):
+        """Numbers for each t at the columns of each bound; zero at the columns of a limit."""
+        return self.at_columns(t, 0 * self.limits)
+
     def largest(self, values):
         """The largest value at the columns of each t, and of each limit, of values by bound."""
-        largest = np.zeros(len(self.cost) + 2)
+        largest = np.zeros(len(self.cost) + len(self.limits))
         for bound, value in zip(self.bounds, values, strict=True):
             np.maximum.at(largest, bound.level, value)
         return np.split(largest, [len(self.cost)])
@@ -69,13 +74,14 @@ class Program:
 
     def minimax(self):
         """The program of the least possible largest value of what has a t or the first limit."""
-        t, limits = self.without_learning()
-        bounds = (
-            replace(bound, level=np.where(bound.level <= len(self.cost), 0, 2))
-            for bound in self.bounds
+        t, (first, *_) = self.without_learning()
+        beyond_first = [np.maximum(bound.level - len(self.cost), 0) for bound in self.bounds]
+        bounds = tuple(  # the one t has number 0, the limits follow
+            replace(bound, level=np.where(number > 0, number + 1, 0))
+            for bound, number in zip(self.bounds, beyond_first, strict=True)
         )
-        limits = np.array([GENEROUS * max(*t, limits[0]), self.limits[1]])
-        return replace(self, bounds=tuple(bounds), cost=np.ones(1), limits=limits)
+        limits = np.append(GENEROUS * max(*t, first), self.limits[1:])
+        return replace(self, bounds=bounds, cost=np.ones(1), limits=limits)
 
     def linear(self, x):
         """T L of each bound."""

@@ -1,4 +1,4 @@
-"""What trials were: their signals in parts."""
+"""Trials that have ended, in parts: the signals of each, or from one rest to the next."""
 
 import numpy as np
 import xarray as xr
@@ -14,7 +14,7 @@ def parts_of(trials: xr.Dataset) -> list[Part]:
     return [{name: trials[name].values[k] for name in names} for k in range(len(trials.trial))]
 
 
-def runs(trials: xr.Dataset) -> list[Part]:
+def from_rest_to_rest(trials: xr.Dataset) -> list[Part]:
     """The signals from one rest to the next: of each trial; without reset, of all as one."""
     parts = parts_of(trials)
     return [joined(parts)] if RESET in trials.attrs else parts

@@ -1,0 +1,141 @@
+"""What a certificate says in print; what is known stands in :mod:`.evidence.certificate`."""
+
+import numpy as np
+
+from ilctools.evidence.peak import BELOW, CLOSE, DEAF
+from ilctools.problem.plausible import at_rest_in_words
+from ilctools.problem.problem import K_MAX
+from ilctools.singular_values import TIED
+
+PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # of which the RMS is printed, where a reference is given
+
+
+def printed(certificate) -> str:
+    """What a user asks first: the rate, margins, gains, and what limits them."""
+    problem = certificate.problem
+    assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
+    lines = [
+        _rate(certificate),
+        *([repr(certificate.margins)] if certificate.rate <= 1 + CLOSE else []),
+        ", ".join(_gains(certificate)),
+        "; ".join([_limits(certificate), *_mean(certificate)]),
+        *_deaf(certificate),
+        *(text for text in problem.assumptions if text not in assumed),
+        *_below(certificate),
+        *(["assumptions: .certificate.details"] if assumed else []),
+    ]
+    return "\n".join([*lines, *_against(certificate)])
+
+
+def details(certificate) -> str:
+    """See :attr:`.Certificate.details`."""
+    problem, bounds = certificate.problem, certificate.problem.bounds
+    peaks = certificate.peaks.items()
+    table = [
+        *((claim.limit, claim.name) for claim in bounds.on("M")),
+        *((peak.sigma, f"sigma_max(M), {how}, {certificate.place(peak)}") for how, peak in peaks),
+    ]
+    for claim in bounds.on("L"):
+        table += [
+            (claim.limit, claim.name),
+            (certificate.on_grid(claim), f"{claim.what}, on the grid"),
+            (certificate.anywhere(claim), f"{claim.what}, at all frequencies"),
+        ]
+    if not bounds.on("L"):
+        table.append((certificate.all_L, "sigma_max(L), at all frequencies, not bounded"))
+    table += [
+        (certificate.value, "objective"),
+        (certificate.lower_bound, "lower bound of the objective"),
+    ]
+    lines = [f"{value:<11.5g}{what}" for value, what in table]
+    return "\n".join([*lines, *_mean(certificate), *problem.assumptions, *_against(certificate)])
+
+
+def _rate(certificate):
+    """The rate, for whom it holds and where it is attained."""
+    problem, peak = certificate.problem, certificate.highest_peak
+    near = certificate.grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
+    at = np.append(near, peak.omega).min()
+    where = ", proven" if certificate.proven else f" {_span(problem.omega)}, estimated"
+    if BELOW in certificate.peaks:
+        where = f", estimated {_span(problem.omega)}"
+    return (
+        f"rate at most {certificate.rate:.4f}{_whom(problem)}, at all frequencies{where}; largest "
+        f"near {float(f'{at:.2g}'):g} rad/s"
+    )
+
+
+def _whom(problem):
+    """For which plants the rate is."""
+    count = len(problem.plants)
+    of = f" of {count} plants" if count > 1 else ""
+    if problem.radius is not None:
+        return f" for every plant within the radius{of}"
+    return f" for each{of}" if of else ""
+
+
+def _gains(certificate):
+    """P at rest, cut-off, delay, the gain of L for each of its bounds, the norm of a trial."""
+    problem, (samples, norm) = certificate.problem, certificate.trial
+    yield at_rest_in_words(problem.response)
+    yield f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s"
+    yield f"where P lags by {problem.delay} samples"
+    yield f"sigma_max(L) {certificate.all_L:.3g}"
+    for claim in problem.bounds.on("L"):
+        if claim.lowest > 0:
+            yield f"{claim.what} {certificate.anywhere(claim):.3g}"
+    if samples:
+        yield f"norm of a trial of {samples} samples {norm:.3g}"
+
+
+def _deaf(certificate):
+    """Where P passes nothing."""
+    if DEAF in certificate.peaks:
+        place = certificate.place(certificate.peaks[DEAF])
+        yield f"P passes nothing {place}: M is |Q| for any L, and the error stays"
+
+
+def _below(certificate):
+    """What is assumed below the first sample, and the rate without it."""
+    if below := certificate.problem.response.below_in_words:
+        yield f"{below}; from there on the rate is {certificate.rate_above:.4f}"
+
+
+def _limits(certificate):
+    """Which bounds limit the optimum; without them, no other than the filter's size."""
+    problem = certificate.problem
+    if np.isnan(certificate.lower_bound):
+        return "L = B by its formula, K = 1: nothing was optimised"
+    of_grid = zip(problem.bounds.claims, certificate.grid.bounds.claims, strict=True)
+    limits = [
+        str(stated)
+        for stated, on_grid in of_grid
+        if certificate.on_grid(on_grid) > (1 - TIED) * on_grid.limit
+    ]
+    size = f"order = {problem.order}"
+    if problem.base is not None:
+        size += f" of K in L = B K, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
+    return f"limited by {', '.join([*limits, size])}"
+
+
+def _mean(certificate):
+    """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
+    problem, rms, mean = certificate.problem, certificate.predicted, certificate.mean_M
+    nominal = " of the nominal plant" if problem.robust else ""
+    if rms:
+        trials = ", ".join(f"{rms[k]:.3g} in trial {k}" for k in PREDICTED_TRIALS)
+        yield f"predicted RMS of the error{nominal}: {trials}"
+    elif problem.objective.kind == "sum" and not np.isnan(mean):
+        span = _span(problem.objective.band)
+        yield f"mean of sigma_max(M){nominal} over the band: {mean:.4f}, {span}"
+
+
+def _against(certificate):
+    """Warnings and failures."""
+    yield from (f"WARNING: {found}" for found in certificate.warnings)
+    yield from (f"FAILS: {found}" for found in certificate.failures)
+
+
+def _span(omega):
+    """The first and the last of some frequencies."""
+    return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"

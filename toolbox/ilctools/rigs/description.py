@@ -1,0 +1,191 @@
+"""A rig, its loop and its law as they are known before the first sample; all of it is checked."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ilctools import arguments
+from ilctools.law.law import Law
+from ilctools.law.limits import Actuators, named_limits
+from ilctools.loop.closed import CurrentTrialLoop, Loop
+from ilctools.rigs.controller import rounded
+from ilctools.rigs.interrupts import SAFE_TIME
+from ilctools.rigs.limits import stop_limits
+from ilctools.rigs.protocol import Rig
+from ilctools.trials.learn import disturbances_of
+
+ROUNDED_SIGNALS = ("v", "u", "delta", "disturbance")  # the signals that `decimals` can be about
+
+
+@dataclass(frozen=True)
+class RigSignals:
+    """Names of the signals that a rig takes, measures and has recorded."""
+
+    outputs: list[str]  # y, in the order of the numbers that `read` returns
+    commands: list[str]  # u if the controller is ours, w if it is the rig's
+    inputs: list[str]  # of the rig, in the order of the numbers that `apply` takes
+    controls: list[str]  # u, which a rig reports if the controller is its own; else none
+    commanded: list[str]  # disturbances of the loop that are inputs of the rig
+    disturbances: list[str]  # of the loop, which are known: those commanded, and those measured
+
+    @cached_property
+    def of_outputs(self) -> str:
+        """What errors call the numbers that `read` returns; once, not in every sample."""
+        return f"reading of {', '.join(self.outputs)}"
+
+    @cached_property
+    def measured_as(self) -> dict[str, str]:
+        """What the rig measures beside y, and as which signal it is recorded."""
+        not_commanded = [name for name in self.disturbances if name not in self.commanded]
+        return dict.fromkeys(not_commanded, "disturbance") | dict.fromkeys(self.controls, "u")
+
+    @cached_property
+    def places(self) -> list[int]:
+        """Where the commands, and then the commanded disturbances, stand among the inputs."""
+        return [self.inputs.index(name) for name in self.commands + self.commanded]
+
+
+@dataclass(frozen=True)
+class OptionalMethods:
+    """Methods that the protocol leaves to the driver; None where it has none."""
+
+    begin: Callable | None  # brings the rig to where trials begin
+    clock: Callable | None  # the time, s
+    safe: Callable | None  # leaves the rig safe
+    safe_time: float  # s, that `safe` may take before a signal ends it
+
+
+@dataclass(frozen=True)
+class RigDescription:
+    """A rig under its loop and its law, made by :func:`described`; nothing of it changes."""
+
+    driver: Rig
+    loop: Loop  # the controller is ours if it is a CurrentTrialLoop, else the rig's
+    signals: RigSignals
+    Ts: float  # s
+    decimals: dict[str, int]  # of signals that are rounded
+    limits: dict[str, tuple[float, float]]  # that the rig follows, by the name of the command
+    law: Law | None  # on this rig: within its limits, unless the law has none at all
+    actuators: Actuators | None  # which cut commands off at the limits of the law, if it has some
+    stop: dict[str, tuple[float, float]]  # limits beyond which the experiment stops, by name
+    methods: OptionalMethods
+    trials: int
+    samples: int  # of a trial
+    goes_on: bool  # whether a trial starts where the last one ended
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of y."""
+        return self.signals.outputs
+
+    @property
+    def controller_is_ours(self) -> bool:
+        """Whether the controller runs here and sends u; else the rig's own takes w."""
+        return isinstance(self.loop, CurrentTrialLoop)
+
+    def rounded(self, signal: str, values) -> np.ndarray:
+        """A signal with as many digits as are recorded."""
+        return rounded(values, self.decimals.get(signal))
+
+    def flows_of(self, disturbance) -> np.ndarray:
+        """What is commanded to disturbances that are inputs, shape (trial, time, them)."""
+        names = self.loop.disturbances
+        d = disturbances_of(self.loop, disturbance, self.trials, self.samples)
+        nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
+        if unknown := [name for name in nonzero if name not in self.signals.disturbances]:
+            raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")
+        return d[..., [names.index(name) for name in self.signals.commanded]]
+
+
+def described(
+    rig: Rig,
+    loop: Loop,
+    reference: np.ndarray,
+    law: Law | None = None,
+    stop: dict | None = None,
+    decimals: dict[str, int] | None = None,
+    goes_on: bool = False,
+) -> RigDescription:
+    """Describe a rig under its loop; a ValueError if something of it does not belong together.
+
+    Parameters
+    ----------
+    rig, stop, decimals
+        As for :func:`ilctools.record`.
+    loop : CurrentTrialLoop or ClosedLoop
+        The controller is ours, which sends u, or the rig's, which takes w.
+    reference : ndarray, shape (trial, time, output)
+        Of all trials, from which limits of `stop` follow.
+    law : Law, optional
+        Bound to the loop. Limits that it does not state are those of the rig.
+    goes_on : bool
+        Whether a trial starts where the last one ended.
+    """
+    driver = _driver(rig)
+    signals = _signals(driver, loop)
+    Ts = arguments.sampling_period("rig.Ts", getattr(driver, "Ts", loop.Ts))
+    decimals = _decimals(decimals)
+    limits = _limits(driver, signals)
+    law = law and law.on_rig(limits)
+    actuators = law and law.actuators
+    stop = stop_limits(stop, reference, loop, limits)
+    trials, samples = reference.shape[:2]
+    return RigDescription(
+        driver=driver,
+        loop=loop,
+        signals=signals,
+        Ts=Ts,
+        decimals=decimals,
+        limits=limits,
+        law=law,
+        actuators=actuators,
+        stop=stop,
+        methods=_methods(driver),
+        trials=trials,
+        samples=samples,
+        goes_on=goes_on,
+    )
+
+
+def _driver(rig):
+    """The rig, which must be an object with the methods of the protocol."""
+    if isinstance(arguments.instance("rig", rig, Rig), type):
+        raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
+    return rig
+
+
+def _signals(driver, loop):
+    """Which signals are sent, measured and recorded beside commands and outputs."""
+    commands, measured = loop.commands, getattr(driver, "measured", {})
+    inputs = list(getattr(driver, "inputs", commands))
+    if missing := [name for name in commands if name not in inputs]:
+        raise ValueError(f"rig.inputs = {inputs} must name the commands {missing}")
+    controls = [] if isinstance(loop, CurrentTrialLoop) else loop.controls
+    if missing := [name for name in controls if name not in measured]:
+        raise ValueError(f"rig.measured must have the controls {missing} of the loop")
+    commanded = [name for name in loop.disturbances if name in inputs]
+    known = [name for name in loop.disturbances if name in inputs or name in measured]
+    return RigSignals(loop.outputs, commands, inputs, controls, commanded, known)
+
+
+def _decimals(decimals):
+    """The number of decimals by signal."""
+    checked = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
+    for signal, number in checked.items():
+        arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
+    return checked
+
+
+def _limits(driver, signals):
+    """What the rig follows of the commands."""
+    limits = named_limits("rig.limits", getattr(driver, "limits", None), signals.inputs)
+    return {name: limits[name] for name in signals.commands if name in limits}
+
+
+def _methods(driver):
+    """The optional methods of a driver."""
+    begin, clock, safe = (getattr(driver, name, None) for name in ("begin", "clock", "safe"))
+    safe_time = arguments.positive("rig.safe_time", getattr(driver, "safe_time", SAFE_TIME))
+    return OptionalMethods(begin, clock, safe, safe_time)

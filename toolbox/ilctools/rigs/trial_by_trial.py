@@ -1,0 +1,162 @@
+"""Trials on a rig, one after the other: each is watched, and kept when it ends."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ilctools.law.notes import KEYS, RESET
+from ilctools.logs.reader import read_log
+from ilctools.progress import progress
+from ilctools.rigs.controlled import ControlledRig
+from ilctools.rigs.description import RigDescription
+from ilctools.rigs.trial_log import TrialLog, Writer, log_path, without_others
+from ilctools.rigs.watch import Warner, start_of, warnings_of
+from ilctools.signals import dataset
+from ilctools.trials.learn import Part, joined, learn
+from ilctools.trials.parts import parts_of
+
+NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
+
+
+@dataclass
+class Past:
+    """The trials of an experiment that have ended."""
+
+    notes: dict[str, str]  # of their log
+    trials: list[Part] = field(default_factory=list)
+    log: xr.Dataset | None = None  # of all of them
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What all trials of an experiment have in common."""
+
+    about: RigDescription
+    reference: np.ndarray  # shape (trial, time, output)
+    flows: np.ndarray  # commanded to disturbances that are inputs, shape (trial, time, them)
+    following: Callable[[list[Part]], np.ndarray]  # v after these trials
+    notes: dict[str, str]  # of what makes the trials
+    pause: int | None  # samples between two trials; None: until the outputs are back
+
+    def finish(self, path) -> xr.Dataset:
+        """Run the trials that are not in the log at `path` yet; the log of all."""
+        if path is None:
+            return self.go_on(Past(self.notes), None)
+        path = log_path(path)
+        with without_others(path) as denied:
+            past = self.past_in(path)
+            missing = len(self.reference) - len(past.trials)
+            if denied and missing > 0:
+                raise PermissionError(
+                    f"path = '{path}' cannot be written to, but {missing} of "
+                    f"{len(self.reference)} trials are not in it: give another path ({denied})"
+                )
+            return self.go_on(past, TrialLog(path))
+
+    def past_in(self, path: Path) -> Past:
+        """The trials of the log at `path`, if there is one; those of another are refused."""
+        if not path.exists():
+            return Past(self.notes)
+        log = read_log(path, ended=True)
+        self.check_same(log, path)
+        return Past(log.attrs | self.notes, parts_of(log), log)
+
+    def check_same(self, log: xr.Dataset, path: Path) -> None:
+        """Refuse a log of another experiment."""
+        sources = log.source.values.tolist() if "source" in log.coords else []
+        asked = self.reference[: len(log.trial)]
+        same = {
+            "reference": np.array_equal(log.reference[: len(asked)], asked),
+            "v of trial 1": np.array_equal(log.v[0], self.v_after([])),
+            **{key: log.attrs.get(key) == self.notes.get(key) for key in NOTED},
+            "disturbances": sources == self.about.signals.disturbances,
+            "numbers": log.trial.values[-1] == len(log.trial),
+        }
+        if differing := [what for what, is_same in same.items() if not is_same]:
+            raise ValueError(
+                f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
+                "another path, or go on with the same"
+            )
+
+    def v_after(self, trials: list[Part]) -> np.ndarray:
+        """v after these trials, with as many digits as are recorded."""
+        return self.about.rounded("v", self.following(trials))
+
+    def go_on(self, past: Past, file: TrialLog | None) -> xr.Dataset:
+        """Run the trials that follow those that have ended; the log of all."""
+        if len(past.trials) < len(self.reference):
+            if past.trials:
+                file.replace(past.log)  # without a last trial that is torn
+            self.leave_safe_after(past, file)
+        return past.log
+
+    def leave_safe_after(self, past: Past, file: TrialLog | None) -> None:
+        """Run the trials that are missing; leave the rig safe on every way out."""
+        rig = ControlledRig(self.about)
+        try:
+            with ThreadPoolExecutor(1) as thread:
+                writer = Writer(file, thread, waits=not self.about.goes_on)
+                try:
+                    rig.interrupts.watch()
+                    self.add_trials(rig, past, writer)
+                finally:
+                    rig.interrupts.leave()
+        except Exception as error:
+            error.trials = past.log
+            error.add_note(
+                f"in {rig.state.place}; nothing was applied after it but what leaves the rig safe; "
+                f"the attribute trials of this error has {len(past.trials)} "
+                f"(path = {file and file.path})"
+            )
+            raise
+
+    def add_trials(self, rig: ControlledRig, past: Past, writer: Writer) -> None:
+        """Run the trials that are missing; save each, and warn of what it shows."""
+        ended, count, warner = len(past.trials), len(self.reference), Warner()
+        with progress(total=self.reference[ended:, :, 0].size) as bar:
+            if self.about.goes_on:
+                rig.begin(ended + 1)
+            for k in range(ended, count):
+                bar.set_description(f"trial {k + 1} of {count}", refresh=False)
+                trial, of_pause = self.trial_on(rig, past.trials, bar)
+                past.trials.append(trial)
+                past.log = self.log_of(past)
+                writer.add(past.log, trial)
+                shown = warnings_of(self.about, past.log, past.trials, rig.state.late)
+                warner.warn({"pause": of_pause} | shown)
+            writer.finish()
+
+    def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> tuple[Part, str]:
+        """Run the trial after these; its signals, and what is to be said of the pause before it.
+
+        If the rig goes on, in parts whose v follows from those before; else it is one part.
+        """
+        k, of_pause = len(past), ""
+
+        def respond(w, now):
+            nonlocal of_pause
+            if not self.about.goes_on:
+                of_pause = self.begin_on(rig, past)
+            return rig.drive(k + 1, w, self.flows[k, now], bar, now.start)
+
+        parts = learn(respond, self.v_after, self.reference[k], past)  # (22), (23)
+        return joined(parts), of_pause
+
+    def begin_on(self, rig: ControlledRig, past: list[Part]) -> str:
+        """Bring the rig to where the trial after these begins; what is to be warned of."""
+        number = len(past) + 1
+        rig.begin(number)
+        if not past:
+            return ""
+        w = self.reference[number - 1, 0]
+        return rig.pause(number, self.pause, w, start_of(self.about, past[0]))
+
+    def log_of(self, past: Past) -> xr.Dataset:
+        """The log of the trials that have ended."""
+        loop, signals = self.about.loop, joined(past.trials, np.stack)
+        names = loop.outputs, loop.controls, self.about.signals.disturbances
+        return dataset(loop.Ts, *names, loop.units, **signals).assign_attrs(past.notes)

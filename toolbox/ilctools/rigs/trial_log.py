@@ -1,0 +1,94 @@
+"""The file of an experiment: its log, to which each trial is added when it ends."""
+
+import errno
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.files import alone, append, regular
+from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
+from ilctools.trials.learn import Part
+
+DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)  # of a file or a folder that is read only
+
+
+def log_path(path) -> Path:
+    """Where a log is, or will be: the file itself, in a folder that exists."""
+    # absolute, because a driver may change the working directory
+    path = regular(arguments.path("path", path)).absolute()
+    if not path.parent.is_dir():
+        raise ValueError(f"path = '{path}' must be in a folder that exists")
+    return path
+
+
+@contextmanager
+def without_others(path: Path) -> Iterator[OSError | None]:
+    """Keep other processes from the log at `path`; yields what denies that, if nothing is written.
+
+    Where nothing can be written, a log that has all trials can still be read.
+    """
+    denied, lock = None, path.with_name(f".{path.name}.lock")
+    busy = f"path = '{path}' is recorded to by another process: wait, or give another"
+    with ExitStack() as locks:
+        try:
+            locks.enter_context(alone(lock, busy))
+        except OSError as error:
+            if error.errno not in DENIED:
+                raise
+            denied = error
+        yield denied
+
+
+class TrialLog:
+    """The log of one experiment as a file; what others write there meanwhile is left alone."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.size = None  # of the file, in bytes, as this experiment left it
+
+    def replace(self, log: xr.Dataset) -> None:
+        """Write all trials, whatever is there."""
+        write_log(log, self.path)
+        self.size = self.path.stat().st_size
+
+    def add(self, log: xr.Dataset, trial: Part) -> None:
+        """Add the last trial of a log to the file, or write all where there is none.
+
+        By rows, because meanwhile the next trial may run.
+        """
+        if not self.path.exists():
+            write_log(log, self.path)
+        elif self.path.stat().st_size == self.size:
+            signals = [trial[name] for name in columns_of(signals_of(log), log)]
+            append(self.path, rows_as_text(len(log.trial), log.time.values, signals))
+        else:
+            raise FileExistsError(
+                f"path = '{self.path}' was changed by another program during a trial, and is left "
+                "as it is: save the attribute trials of this error by save_log, at another path"
+            )
+        self.size = self.path.stat().st_size
+
+
+class Writer:
+    """Adds trials to a file in a thread, so that a rig that never rests need not wait for it."""
+
+    def __init__(self, file: TrialLog | None, thread: Executor, waits: bool):
+        self.file, self.thread, self.waits = file, thread, waits
+        self.last: Future | None = None  # what is written, or was
+
+    def add(self, log: xr.Dataset, trial: Part) -> None:
+        """Add the last trial of a log; first the error of the one before, if there was one."""
+        self.finish()
+        if self.file is not None:
+            self.last = self.thread.submit(self.file.add, log, trial)
+            if self.waits:
+                self.finish()
+
+    def finish(self) -> None:
+        """Wait until all is written; raises the error of what was not."""
+        if self.last is not None:
+            self.last.result()

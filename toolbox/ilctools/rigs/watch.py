@@ -1,0 +1,71 @@
+"""What there is to be warned of after a trial on a rig."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from ilctools.law.limits import CUT_OFF, commands_beyond
+from ilctools.rigs.description import RigDescription
+from ilctools.trials.diagnosis import diagnose
+from ilctools.trials.learn import Part
+from ilctools.trials.start import Start
+from ilctools.warn import warn
+
+LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
+EACH_TRIAL = {"pause", "clock", "rig"}  # of these kinds each trial is warned of, of others one
+
+
+class Warner:
+    """Warns of what trials show, by kinds: of most kinds once."""
+
+    def __init__(self):
+        self.said = set()  # kinds that are not said again
+
+    def warn(self, texts: dict[str, str]) -> None:
+        """Warn of these kinds, where a text is not empty."""
+        for kind, text in texts.items():
+            if text and kind not in self.said:
+                warn(text)
+                self.said |= {kind} - EACH_TRIAL
+
+
+def start_of(about: RigDescription, first: Part) -> Start:
+    """Where the first trial started."""
+    return Start.of(first["y"], first["reference"], about.loop)
+
+
+def warnings_of(
+    about: RigDescription, log: xr.Dataset, trials: Sequence[Part], late: Sequence[float]
+) -> dict[str, str]:
+    """What the last of these trials shows, with those before it, by kinds; "" for nothing.
+
+    `late` is by how many seconds each sample of the last trial was not on time.
+    """
+    number, texts = len(trials), _beyond_limits(about, trials[-1])
+    if about.law is not None:
+        texts |= diagnose(log, about.law, first=number)
+        texts["start"] = _another_start(about, trials)
+    if off := [seconds for seconds in late if seconds > LATE_SAMPLE * about.Ts]:
+        texts["clock"] = f"{len(off)} samples were not on time, by up to {max(off):.3g} s"
+    return {kind: text and f"after trial {number}: {text}" for kind, text in texts.items()}
+
+
+def _beyond_limits(about, trial):
+    """Commands that the actuators do not follow: the law knows of its limits, not of the rig's."""
+    asked, commands = about.loop.asked(trial), about.signals.commands
+    if about.actuators is not None:
+        beyond = commands_beyond(asked, commands, about.law.known_limits)
+        return {"limits": beyond and beyond + CUT_OFF}
+    beyond = commands_beyond(asked, commands, about.limits)
+    return {"rig": beyond and f"{beyond}; what the rig cuts off, the law does not know"}
+
+
+def _another_start(about, trials):
+    """How far the last trial started from where the first one did, in words."""
+    first, last = trials[0], trials[-1]
+    alike = np.array_equal(last["reference"][0], first["reference"][0])
+    if about.goes_on or last is first or not alike:
+        return ""
+    start = start_of(about, first)
+    return start.missed(last["y"]) or (about.law.L and start.away(last["reference"]))

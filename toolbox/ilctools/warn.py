@@ -1,0 +1,12 @@
+"""Warnings for whoever called the toolbox, however deep in it the finding was made."""
+
+import sys
+import warnings
+
+
+def warn(text: str) -> None:
+    """Warn at the line that called the toolbox."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back and frame.f_globals.get("__name__", "").startswith("ilctools."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)

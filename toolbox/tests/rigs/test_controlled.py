@@ -1,0 +1,98 @@
+"""One sample of a rig, step by step: read, check, command, limit, observe, apply, record."""
+
+import numpy as np
+import pytest
+from plants import LOOPS, bump
+
+from ilctools import ClosedLoop, Law, zero_phase_butterworth
+from ilctools.errors import RigError, StoppedError
+from ilctools.loop.closed import controller
+from ilctools.rigs.controlled import ControlledRig
+from ilctools.rigs.description import described
+
+STAGE, TANKS = LOOPS["stage"](), LOOPS["tanks"]()
+
+
+class Scripted:
+    """Shows the outputs that it is given, one after the other, and notes what it is asked."""
+
+    def __init__(self, shown, **attributes):
+        self.shown, self.calls = iter(shown), []
+        vars(self).update(attributes)
+
+    def read(self):
+        self.calls.append("read")
+        return next(self.shown)
+
+    def apply(self, inputs):
+        self.calls.append(np.array(inputs))
+
+
+def controlled(loop, shown, law=None, stop=None, decimals=None, **attributes):
+    reference = bump(20, np.ones(len(loop.outputs)))[None]
+    rig = Scripted(shown, **attributes)
+    return rig, ControlledRig(described(rig, loop, reference, law, stop, decimals))
+
+
+@pytest.mark.parametrize("loop", [STAGE, TANKS], ids=["stage", "tanks"])
+@pytest.mark.parametrize("limited", [True, False])
+def test_samples_are_those_of_observer_and_feedback(loop, limited):
+    """By the matrices of (16) and (18), whose observer is informed of what was applied."""
+    rng, m = np.random.default_rng(0), len(loop.outputs)
+    y, w = rng.standard_normal((2, 12, m))
+    limits = dict.fromkeys(loop.commands, (-0.3, 0.2)) if limited else {}
+    law = Law(zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), None, limits=limits, loop=loop)
+    free = dict.fromkeys([*loop.outputs, *loop.commands])  # no limits of stop
+    rig, running = controlled(loop, y, law, free)
+    A, B, K = controller(loop)
+    state = np.zeros(len(A))
+    for p in range(12):
+        signals = running.sample(w[p], [])
+        u = loop.N @ w[p] - K @ state  # (18)
+        applied = np.clip(u, -0.3, 0.2) if limited else u
+        scale = 1e-12 * np.abs(u).max()
+        np.testing.assert_array_equal(signals["y"], y[p])
+        np.testing.assert_allclose(signals["delta"], state[-m:], atol=1e-12 * np.abs(state).max())
+        np.testing.assert_allclose(signals["u"], u, atol=scale)
+        np.testing.assert_allclose(rig.calls[-1], applied, atol=scale)
+        assert ("applied" in signals) == limited and "disturbance" not in signals
+        state = A @ state + B @ applied + loop.KL @ y[p]  # (16)
+    assert rig.calls[::2] == ["read"] * 12 and len(rig.calls) == 24
+
+
+def test_what_is_read_and_what_is_asked_for_is_checked_before_it_is_used():
+    loop = ClosedLoop(Ts=0.1, outputs=["x"])
+    stop = {"x": (-5.0, 5.0), loop.commands[0]: (-2.0, 2.0)}
+    cases = ([np.nan], 0.0, RigError, "reading of x"), ([6.0], 0.0, StoppedError, "x = 6 is not")
+    for shown, w, error, message in (*cases, ([0.0], 3.0, StoppedError, "= 3 is not from -2 to 2")):
+        rig, running = controlled(loop, [shown], stop=stop)
+        with pytest.raises(error, match=message):
+            running.sample(np.array([w]), [])
+        assert rig.calls == ["read"]
+
+
+def test_a_controller_of_the_rigs_own_is_sent_w_and_what_it_reports_is_recorded():
+    loop = ClosedLoop(Ts=0.1, outputs=["x"], controls=["motor"])
+    law = Law(zero_phase_butterworth(2, 1.0, 0.1), None, limits={"w1": (-0.5, 0.5)}, loop=loop)
+    rig, running = controlled(
+        loop, [[0.1]], law, {"w1": None}, {"u": 2}, measured={"motor": 1 / 3, "lamp": np.nan}
+    )
+    signals = running.sample(np.array([2.0]), [])
+    assert {name: values.tolist() for name, values in signals.items()} == {"y": [0.1], "u": [0.33]}
+    assert rig.calls[-1].tolist() == [0.5]
+
+
+@pytest.mark.parametrize(("times", "late"), [
+    ([0.0, 0.1, 0.2, 0.3], [0.0, 0.0, 0.0, 0.0]),
+    ([5.0, 5.1, 5.35, 5.3], [0.0, 0.0, 0.15, 0.0]),  # it does not wait for a late one
+])  # fmt: skip
+def test_samples_are_due_from_the_first_one_of_a_trial_on(times, late):
+    loop, ticks = ClosedLoop(Ts=0.1, outputs=["x"]), iter(times)
+    _, running = controlled(loop, [[0.0]] * 4, clock=lambda: next(ticks))
+
+    class Bar:
+        update = staticmethod(lambda: None)
+
+    running.drive(1, np.zeros((4, 1)), np.zeros((4, 0)), Bar)
+    np.testing.assert_allclose(running.state.late, late, atol=1e-12)
+    assert running.state.place == "trial 1, sample 4"
