@@ -26,6 +26,7 @@ from ilctools.errors import LogError
 from ilctools.signals import dataset
 
 RECORDS = 200  # of a kind
+AXES = "trial", "time"
 NOISE = 0.03  # relative to the gain of a plant, where a kind does not say otherwise
 
 
@@ -186,6 +187,18 @@ def two(rng, N=100, common=0.0):
     return single(u, y + noise), plants
 
 
+def disturbed(rng, N=150):
+    """Two channels, while a heater is switched and the air drifts, both of which were recorded."""
+    log, plants = two(rng, N)
+    heater = np.repeat(rng.integers(0, 2, N), rng.integers(10, 30))[:N]
+    air = np.cumsum(0.1 * rng.standard_normal(N))
+    moved = [sum(lfilter(*lag(rng), d) for d in (heater, air)) for _ in plants]
+    known = np.stack([heater, air], axis=1)[None]
+    log = log.assign(y=log.y + np.stack(moved, axis=1), disturbance=((*AXES, "source"), known))
+    names = {"source": ("source", ["heater", "air"]), "source_unit": ("source", ["", ""])}
+    return log.assign_coords(names), plants
+
+
 def modes(rng, damped=0.03):
     """Four modes, damped by 0.005 or more, the last near the Nyquist frequency; gain one."""
     natural = np.append(rng.uniform(0.15, 2.2, 3), rng.uniform(2.6, 3.0))
@@ -272,6 +285,7 @@ KINDS = {
     "a long delay, noise": partial(noisy, make=late, N=2000),
     "a long delay, steps": partial(open_loop, make=late, N=2000),
     "three lengths": of_three_lengths,
+    "known disturbances": disturbed,
     **CURVED,
     "outputs with a common noise": partial(two, common=0.8),
     "CD arm": partial(flexible, damped=0.02, noise=0.1),

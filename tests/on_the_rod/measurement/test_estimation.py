@@ -65,7 +65,7 @@ def test_a_long_delay_is_found_behind_noise_and_steps():
         # though where the input rested before the record is still on its way
         assert not estimate.findings
         (fit,) = estimate.fits
-        late, truth = fit.data.layout.knots[1][0], np.flatnonzero(plants[0][0][0])[0]
+        late, truth = fit.data.layout.knots_of_B[0][0], np.flatnonzero(plants[0][0][0])[0]
         assert 0.88 * truth < late <= truth
 
 

@@ -33,20 +33,31 @@ left: a proportional controller, or a plant without lags and almost without nois
 cannot be known then: by all of it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, helmert, solve_triangular
+from scipy.linalg import block_diag
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from ilctools.measurement.regression import Regression, Trials, contrasts, longest_of, products
+from ilctools.measurement.arx.regression import Regression
+from ilctools.measurement.arx.regressors import products
+from ilctools.measurement.arx.trials import (
+    Series,
+    Trials,
+    contrasts,
+    longest_of,
+    weights_of_contrasts,
+)
+from ilctools.measurement.arx.unknowns import Kind
 
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.02  # of P: what is smaller is not said
-# Of the first coefficient of an impulse response to their sum: what plants do not have, and what
-# they do not have where u(t) explains EXACT times the power that is left.
-WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
+# The first coefficient of an impulse response, relative to the sum of all: no plant has more than
+# WHOLE of it at once, nor HALF where u(t) explains ALMOST_ALL times the power of the rest: counted.
+WHOLE, HALF, ALMOST_ALL = 1.1, 0.5, 1e6
+EXPLAINED = 1e-9  # relative: what others leave of a column, if it is no more than rounding
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
@@ -55,49 +66,70 @@ FOLLOWS = (
 )
 
 
+class Hypothesis(NamedTuple):
+    """What no linear plant does: columns of Z, behind those of one gain more of each input."""
+
+    words: str
+    columns: list[int]
+    relative_to: list[int]  # the columns whose power stands for P
+
+
+class Contradiction(NamedTuple):
+    """What the records say against one linear plant."""
+
+    words: str
+    by: float  # of P
+
+
+class Score(NamedTuple):
+    """(1), of columns Z."""
+
+    q: np.ndarray  # (column,)
+    J: np.ndarray  # (column, column)
+    power: np.ndarray  # Z' W Z
+
+    def explained(self, columns: list[int]) -> float:
+        """q' J^-1 q of some columns; those that others explain are nothing."""
+        unit, among = np.sqrt(self.power.diagonal()), np.ix_(columns, columns)
+        z, J = (self.q / unit)[columns], (self.J / unit / unit[:, None])[among]
+        return z @ np.linalg.pinv(J, EXPLAINED, True) @ z
+
+    def power_of(self, columns: list[int]) -> float:
+        """The power of the sum of some columns."""
+        return self.power[np.ix_(columns, columns)].sum()
+
+
 def contradictions(
     fit: Regression, groups: Sequence[Trials], reference: bool = True
-) -> Iterator[tuple[str, float]]:
+) -> Iterator[Contradiction]:
     """What contradicts one linear plant, in words, and by how much of P.
 
     `reference`: whether the reference is in the record, or else u may follow y.
     """
-    (m, inputs), parts = fit.channels, [name for group in groups for name in _parts(group)]
-    # the columns of each
-    gains, sets = [*range(inputs)], dict.fromkeys(parts, 2) | {PLAY: m, CURVED: 2 * m + 2}
-    g = fit.impulse(longest_of(groups)).T
-    last, n, level = inputs, fit.data.count.sum(), FALSE_ALARM / len(sets)
+    asked, n = hypotheses(fit, groups), fit.data.n
+    level = FALSE_ALARM / len(asked)
     if fit.stable:
-        q, J, power = _score(fit, groups, _columns(fit, groups, g, len(parts)))
-        for name, k in sets.items():
-            columns, last = [*range(last, last + k)], last + k
-            more = score_test(q, J, power, gains + columns) - score_test(q, J, power, gains)
-            more, within = max(more, 0), columns[:1] if name in parts else gains[:m]
-            off = np.sqrt(more / power[np.ix_(within, within)].sum())
-            if off > SEEN and fdtrc(k, n, n * more / k / fit.posterior.rss) < level:  # (2)
-                yield name, off
-    if not reference and _at_once(fit, g[:, :m], level):
-        yield FOLLOWS, 1.0
+        found, gains = score(fit, groups, columns_of(fit, groups)), [*range(fit.channels.all)]
+        of_gains = found.explained(gains)
+        for words, columns, relative_to in asked:
+            k, more = len(columns), max(found.explained(gains + columns) - of_gains, 0)
+            by = np.sqrt(more / found.power_of(relative_to))
+            F = n * more / k / fit.posterior.r  # (2)
+            if by > SEEN and fdtrc(k, n, F) < level:
+                yield Contradiction(words, by)
+    if not reference and _at_once(fit, level):
+        yield Contradiction(FOLLOWS, 1.0)
 
 
-def score_test(q, J, power, columns) -> float:
-    """q' J^-1 q of some columns; those that others explain, but for a billionth, are nothing."""
-    unit, among = np.sqrt(power.diagonal()), np.ix_(columns, columns)
-    z, scaled = (q / unit)[columns], (J / unit / unit[:, None])[among]
-    return z @ np.linalg.pinv(scaled, 1e-9, True) @ z
-
-
-def _score(fit, groups, added):
-    """q and J, (1), and Z' W Z, of one gain more of each input, and of the columns of records."""
-    post, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
-    (single, means), _ = products(groups, layout, added)  # of [X, y, columns]
-    G = single + post.weight * means
-    gains = mean[:, None] * (layout.kind[:, None] == 1 + np.arange(fit.channels.all))
-    Z = block_diag(gains, np.eye(len(G) - p)[:, 1:])
-    across, power = G[:p] @ Z, Z.T @ G @ Z
-    q = Z.T @ G[p] - mean @ across
-    known = solve_triangular(post.U, post.size[:, None] * across, trans=1)
-    return q, power - known.T @ known, power + 1e-300
+def hypotheses(fit: Regression, groups: Sequence[Trials]) -> list[Hypothesis]:
+    """All that are tested, in the order of their columns in `columns_of`."""
+    m, first, asked = fit.channels.commanded, fit.channels.all, []
+    parts = [name for group in groups for name in _parts(group)]
+    for words, k in [*((name, 2) for name in parts), (PLAY, m), (CURVED, 2 * m + 2)]:
+        columns, first = [*range(first, first + k)], first + k
+        # of a part its own output stands for P, as the gains stand for that in all of them
+        asked.append(Hypothesis(words, columns, columns[:1] if words in parts else [*range(m)]))
+    return asked
 
 
 def _parts(group):
@@ -105,28 +137,72 @@ def _parts(group):
     return group.names if len(group.y) > 1 else [f"the course of {group.names[0]}"]
 
 
-def _columns(fit, groups, g, parts):
-    """Z of each record, transposed, (column, time): of each part, and of other hypotheses."""
-    first = 0
+def score(
+    fit: Regression, groups: Sequence[Trials], added: Callable[[Series], np.ndarray]
+) -> Score:
+    """(1), of one gain more of each input, and of the columns (column, time) of each series."""
+    at, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
+    G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
+    gains = np.zeros((p, fit.channels.all))
+    for j in range(fit.channels.all):
+        where = layout.where_B(j)
+        gains[where, j] = mean[where]
+    Z = block_diag(gains, np.eye(len(G) - p)[:, 1:])
+    across, power = G[:p] @ Z, Z.T @ G @ Z  # X' W Z and Z' W Z
+    known = at.whitened(across)
+    return Score(
+        q=Z.T @ G[p] - mean @ across,  # (1)
+        J=power - known.T @ known,  # (1)
+        power=power + 1e-300,
+    )
+
+
+class _OfGroup(NamedTuple):
+    """The columns of the trials of a group."""
+
+    own: np.ndarray  # of each trial alone, (trial, time, 2)
+    shared: np.ndarray  # of all hypotheses on all trials, (contrast, time, column)
+    weights: np.ndarray  # (contrast, trial)
+    trials: slice  # of the group, among those of all groups
+
+
+def columns_of(fit: Regression, groups: Sequence[Trials]) -> Callable[[Series], np.ndarray]:
+    """Z of a series, transposed, (column, time): of each part, and of the other hypotheses.
+
+    What belongs to a series is found by its key. A column of one trial only is made when it is
+    asked for: of 90 trials there are 180 in each series.
+    """
+    g, made, first = fit.impulse(longest_of(groups)).T, [], 0
     for group in groups:
-        K, N, m = group.u.shape
-        of_P = g[:, :m]
-        answer = _through(of_P, group.u).sum(axis=2, keepdims=True)
-        y = answer
-        if group.disturbance is not None:
-            y = answer + _through(g[:, m:], group.disturbance).sum(axis=2, keepdims=True)
-        own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
-        own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
-        own, *shared = (
-            _through(fit.denominator[:, None], z - z[:, :1])
-            for z in (own, _through(of_P, _last_move(group.u)), _curve(of_P, group.u, y))
-        )
-        shared = contrasts(np.concatenate(shared, axis=2))
-        of_parts = np.zeros((N, parts, 2))
-        for weights, Z in zip(helmert(K, full=True), shared, strict=True):
-            of_parts[:, first : first + K] = np.moveaxis(weights[:, None, None] * own, 0, 1)
-            yield np.hstack([of_parts.reshape(N, -1), Z]).T
-        first += K
+        trials = slice(first, first + len(group.y))
+        made.append(_of_group(fit, g, group, trials))
+        first = trials.stop
+
+    def of(series):
+        own, shared, weights, trials = made[series.key.group]
+        of_trials = np.zeros((len(series.y), first, 2))
+        weight = weights[series.key.contrast][:, None, None]
+        of_trials[:, trials] = np.moveaxis(weight * own, 0, 1)
+        of_trials = of_trials.reshape(len(series.y), -1)
+        return np.hstack([of_trials, shared[series.key.contrast]]).T
+
+    return of
+
+
+def _of_group(fit, g, group, trials):
+    """`g`: impulse responses to all inputs, (time, m + d)."""
+    K, N, m = group.u.shape
+    of_P, of_disturbances = g[:, :m], g[:, m:]
+    answer = _through(of_P, group.u).sum(axis=2, keepdims=True)
+    y = answer
+    if group.disturbance is not None:
+        y = answer + _through(of_disturbances, group.disturbance).sum(axis=2, keepdims=True)
+    own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
+    own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
+    columns = own, _through(of_P, _last_move(group.u)), _curve(of_P, group.u, y)
+    own, *shared = (_through(fit.denominator[:, None], z - z[:, :1]) for z in columns)  # A Z
+    shared = contrasts(np.concatenate(shared, axis=2))
+    return _OfGroup(own, shared, weights_of_contrasts(K), trials)
 
 
 def _through(g, z):
@@ -148,13 +224,18 @@ def _last_move(u):
     return np.take_along_axis(moves, last, 1) - moves[:, :1]
 
 
-def _at_once(fit, g, level):
+def _at_once(fit, level):
     """Whether y answers a commanded input at once, as by -1 / C: relative to the sum of g."""
-    layout, n = fit.data.layout, fit.data.count.sum()
-    g = g[: 2 * layout.knots[0][-1]]  # slow parts answer later
-    lags = (layout.c == 1)[:, None] & (layout.kind[:, None] == 1 + np.arange(g.shape[1]))
-    first = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * lags, trans=1)
-    explained = g[0] ** 2 / np.sum(first**2, axis=0) / fit.posterior.rss
-    share = g[0] / g.sum(axis=0)
-    odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > EXACT)
+    layout, n = fit.data.layout, fit.data.n
+    g = fit.impulse(2 * layout.lags)[: fit.channels.commanded]  # slow parts answer later
+    explained = np.array([_explained_at_once(fit, j, at_once) for j, at_once in enumerate(g[:, 0])])
+    share = g[:, 0] / g.sum(axis=1)
+    odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > ALMOST_ALL)
     return np.any(odd & (fdtrc(1, n, n * explained) < level))
+
+
+def _explained_at_once(fit, j, at_once):
+    """How much of y(t) u_j(t) explains, relative to r: its coefficient squared, by its variance."""
+    lags = np.zeros((len(fit.mean), 1))
+    lags[fit.data.layout.where(Kind.B, j)] = 1.0  # the coefficient is the sum of the increments
+    return at_once**2 / np.sum(fit.posterior.whitened(lags) ** 2) / fit.posterior.r

@@ -1,7 +1,7 @@
 """The frequency response of any records in which the input moved, with its region.
 
-One regression for each output; see :mod:`ilctools.measurement.regression`. With A of that output,
-to first order in the errors dA and dB of its posterior, and then without approximation,
+One regression for each output; see :mod:`ilctools.measurement.arx.regression`. With A of that
+output, to first order in the errors dA and dB of its posterior, and then without approximation,
 
     dP_j = (dB_j - P_j dA) / A,    P_j true - P_j = dP_j / (1 + dA / A).                        (1)
 
@@ -38,9 +38,9 @@ from scipy.special import gammainccinv, wrightomega
 
 from ilctools.errors import LogError
 from ilctools.loop.closed import CurrentTrialLoop, Loop
+from ilctools.measurement.arx.regression import Regression, regression
 from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import Regression, regression
 from ilctools.models import frequency_response
 from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.response.samples import SAME
@@ -50,8 +50,10 @@ from ilctools.threads import on_one_thread
 
 FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes benchmarks cover
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
-ROWS = 300  # of a Hankel matrix, in samples; states at most
-EXACT = 1e-12  # of the largest singular value, below which it is rounding
+HANKEL_ROWS = 300  # samples; states of a model at most
+ROUNDING_OF_HANKEL = 1e-12  # of the largest singular value, below which it is rounding
+FREQUENCIES = 200  # at which P is stated
+WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
 UNSTABLE = 0.77  # smaller, it is said of fewer plants that do not settle; larger, of more that do
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
@@ -171,7 +173,10 @@ class EstimatedResponse(Measured):
         Balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
         (1978) 705-714); a delay is states, too. A LogError if no order is enough.
         """
-        radius, rows = self.radius(CONFIDENCE, jointly=True), min(ROWS, self.record.longest - 1)
+        radius, rows = (
+            self.radius(CONFIDENCE, jointly=True),
+            min(HANKEL_ROWS, self.record.longest - 1),
+        )
         of_all = [fit.impulse(2 * rows + 1) for fit in self.fits]  # known disturbances, too
         impulse = self.units[..., None] * [g[: len(self.names[0])] for g in of_all]
         full, S = control.eigensys_realization(impulse, rows, rows, rows)
@@ -185,7 +190,7 @@ class EstimatedResponse(Measured):
             off = frequency_response(of_order(n), self.omega) - self.response
             return np.all(largest_singular_values(off) <= radius)
 
-        orders = range(1 + np.count_nonzero(S[:rows] > EXACT * S[0]))
+        orders = range(1 + np.count_nonzero(S[:rows] > ROUNDING_OF_HANKEL * S[0]))
         n = bisect_left(orders, True, key=within)
         if n < len(orders):
             return of_order(n)
@@ -221,7 +226,7 @@ class EstimatedResponse(Measured):
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
             "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{self.fits[0].data.layout.knots[0][-1]} lags, those of B after a delay and beside "
+            f"{self.fits[0].lags} lags, those of B after a delay and beside "
             "two slow parts",
         ]
         if not self.known.all():
@@ -244,35 +249,56 @@ class EstimatedResponse(Measured):
         return f"{super().__repr__()}\n{within}"
 
 
+class _Contradicted(NamedTuple):
+    """What contradicts one linear plant, of one output."""
+
+    words: tuple[str, ...]  # a sentence, or none
+    by: float  # of P
+
+
 @on_one_thread
 def estimated_response(
     logs: Sequence[xr.Dataset], of: str | None = None, delay=None
 ) -> EstimatedResponse:
     """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
     record = Record.of(logs, of, delay)
-    units = record.sizes[1][:, None] / record.sizes[0]
-    ours = record.source == "w" and isinstance(record.loop, CurrentTrialLoop)
-    rows = np.eye(len(units)) / units if ours else [None] * len(units)  # its observer integrates
+    units = record.sizes.outputs[:, None] / record.sizes.inputs
     noted = record.source == "w" or all("reference" in log for log in logs)
-    fits, contradicted, apart = [], [], 0.0
-    for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):
-        groups = [group._replace(y=group.y[..., [i]]) for group in record.groups]
-        fits.append(regression(groups, record.direct, record.delay, row))
-        if said := sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1]):
-            words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:5])
-            contradicted.append(
-                f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
-                "leave such trials or times out, by isel, or move the input less"
-            )
-            apart = max(apart, said[0][1])
+    fits, contradicted = [], []
+    for i, (name, gain) in enumerate(zip(record.outputs, _at_rest(record, units), strict=True)):
+        groups = [replace(group, y=group.y[..., [i]]) for group in record.groups]
+        fits.append(regression(groups, record.direct, record.delay, gain))
+        contradicted.append(_contradicted(name, fits[i], groups, noted))
     nyquist = np.pi / record.loop.Ts
-    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, 200)
+    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, FREQUENCIES)
+    apart = max(one.by for one in contradicted)
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
-    findings = (*estimate._unsettled(), *contradicted)
+    contradictory = tuple(words for one in contradicted for words in one.words)
+    findings = (*estimate._unsettled(), *contradictory)
     if not estimate.known.any():
         raise LogError(
-            "; ".join(contradicted)
+            "; ".join(contradictory)
             or f"P is identified at no frequency: the response to {', '.join(record.inputs)} is "
             "below the noise, or they moved alike. Record longer, or move them more, each by itself"
         )
     return replace(estimate, findings=findings)
+
+
+def _at_rest(record, units):
+    """P(0) of each output in these units, where the loop's observer integrates; else None."""
+    if record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
+        return np.eye(len(units)) / units
+    return [None] * len(units)
+
+
+def _contradicted(name, fit, groups, noted):
+    """`noted`: whether the reference is in the record."""
+    said = sorted(contradictions(fit, groups, noted), key=lambda one: -one.by)
+    if not said:
+        return _Contradicted((), 0.0)
+    words = "; ".join(f"{one.words} (by {one.by:.0%} of P)" for one in said[:WORDS_AT_MOST])
+    sentence = (
+        f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
+        "leave such trials or times out, by isel, or move the input less"
+    )
+    return _Contradicted((sentence,), said[0].by)

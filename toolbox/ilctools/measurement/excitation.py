@@ -13,8 +13,9 @@ from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-CLIPPED = 300  # rounds of the search for low peaks: three times as many lower them by 3 %
-FEWEST, MOST = 2, 10  # realisations: with more, the quantiles of the radius hardly fall
+CLIPPING_ROUNDS = 300  # of the search for low peaks: three times as many lower them by 3 %
+# By default, as with more the quantiles of the radius hardly fall.
+FEWEST_REALISATIONS, MOST_REALISATIONS = 2, 10
 
 
 @dataclass(frozen=True)
@@ -163,8 +164,8 @@ def _divided(hours, cycle, realisations, lowest):
     hours = arguments.positive("hours", hours, "a positive number of hours")
     available = int(hours / cycle)
     if realisations is None:
-        realisations = np.clip(available // 3, FEWEST, MOST)
-    realisations = arguments.whole("realisations", realisations, FEWEST)
+        realisations = np.clip(available // 3, FEWEST_REALISATIONS, MOST_REALISATIONS)
+    realisations = arguments.whole("realisations", realisations, FEWEST_REALISATIONS)
     periods = available // realisations - 1
     if periods < 2:
         needed = 3 * realisations * cycle
@@ -191,11 +192,11 @@ def _with_low_peaks(phases, harmonics, m):
     period = next_fast_len(8 * harmonics[-1])
     turns = np.exp(2j * np.pi * np.arange(m) / m)
     best, lowest = phases, np.full((*phases.shape[:-1], 1), np.inf)
-    for k in range(CLIPPED):
+    for k in range(CLIPPING_ROUNDS):
         waves = np.real(turns[:, None] * _envelopes(phases, harmonics, period)[..., None, :])
         peak = np.abs(waves).max(axis=(-2, -1))[..., None]
         best, lowest = np.where(peak < lowest, phases, best), np.minimum(peak, lowest)
-        limit = (0.6 + 0.4 * k / CLIPPED) * peak
+        limit = (0.6 + 0.4 * k / CLIPPING_ROUNDS) * peak
         clipped = np.fft.fft(np.clip(waves[..., k % m, :], -limit, limit))[..., harmonics]
         phases = np.angle(clipped / turns[k % m])
     return best

@@ -40,7 +40,7 @@ from ilctools.response.samples import Samples
 
 # Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
 # radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
-NEAR = 8
+NEIGHBOURING_LINES = 8
 
 
 @dataclass(frozen=True, repr=False)
@@ -116,7 +116,7 @@ class ExcitedResponse(Measured):
     def _straight(self):
         """Weights of the values at the lines for the straight line through the nearest, (n, n)."""
         x, n = np.log(self.omega), len(self.omega)
-        count = max(3, 1 + NEAR // (len(self.periods) - 1))
+        count = max(3, 1 + NEIGHBOURING_LINES // (len(self.periods) - 1))
         weights = np.zeros((n, n))
         for k in range(n):
             first = np.clip(k - count // 2, 0, max(n - count, 0))

@@ -84,7 +84,7 @@ def measured_response(
     Notes
     -----
     Records other than a single one of :func:`shake` are estimated by
-    :mod:`ilctools.measurement.regression`: A(z) y = B(z) u + e, of high order and regularised,
+    :mod:`ilctools.measurement.arx.regression`: A(z) y = B(z) u + e, of high order and regularised,
     each input with a delay if correlations show one, from any start, with offset and slope in each
     trial, a drift that trials of one length have in common, and, over these, of all logs,
     what repeats at each sample with a variance that the data determine.

@@ -17,18 +17,31 @@ from ilctools.errors import LogError
 from ilctools.law.limits import Actuators
 from ilctools.law.notes import RESET, limits_of, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.measurement.regression import Trials, longest_of
+from ilctools.measurement.arx.trials import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
-FEWEST = 20  # samples of a trial
+FEWEST_SAMPLES = 20  # of a trial
 AXES = "trial", "time", ...
-ROUNDING = 1e-12  # of its size: a disturbance that moves less is constant, but for rounding
-# Of its own moves: a disturbance that differs from moves of inputs by less is one of them. A log
-# has three or four digits of each.
+# A disturbance that moves less, relative to its size, is constant but for rounding.
+ROUNDING_OF_DISTURBANCE = 1e-12
+# A disturbance that differs from moves of inputs by less, relative to its own, is one of them: a
+# log has three or four digits of each.
 ALIKE = 1e-3
 # In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
 # most 1e240: a double still holds it. No quantity that a rig has is of such a size in SI units.
-LARGEST, SMALLEST = 1e30, 1e-30
+LARGEST_MOVES, SMALLEST_MOVES = 1e30, 1e-30
+
+
+class Sizes(NamedTuple):
+    """RMS of the moves of each signal."""
+
+    inputs: np.ndarray  # (m,)
+    outputs: np.ndarray  # (p,)
+
+    @classmethod
+    def of(cls, moves: Sequence["_Moves"]) -> "Sizes":
+        """Over all logs."""
+        return cls(_sizes([one.u for one in moves]), _sizes([one.y for one in moves]))
 
 
 @dataclass(frozen=True)
@@ -38,7 +51,7 @@ class Record:
     groups: tuple[Trials, ...]  # of each length
     inputs: list[str]
     outputs: list[str]
-    sizes: tuple[np.ndarray, np.ndarray]  # RMS of the moves of inputs (m,) and outputs (p,)
+    sizes: Sizes
     delay: np.ndarray  # after which y answers at the earliest, (input,), samples
     direct: bool  # whether y(t) may depend on the inputs at t, or when the delay is over
     source: str  # the inputs: "w" or "u"
@@ -53,30 +66,25 @@ class Record:
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
         named = {f"log[{i}]" if len(logs) > 1 else "log": log for i, log in enumerate(logs)}
         check_match(**{name: Signals.of_log(log) for name, log in named.items()})
-        if source is None:
-            source = "w" if all("reference" in log for log in logs) else "u"
-        arguments.choice("of", source, ["u", "w"])
+        source = _source_of(logs, source)
         loop = _loop_of(logs[0], source)
         inputs = loop.references if source == "w" else logs[0].control.values.tolist()
-        first, *_ = named
-        moves = [_moves(*pair, source) for pair in named.items()]
-        u, y = [one.u for one in moves], [one.y for one in moves]
-        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
-        check_moved(u, inputs, f"{first}.{source}", remedy)
-        check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
+        moves = [_moves(name, log, source) for name, log in named.items()]
+        _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
-        sizes = _sizes(u), _sizes(y)
-        moving, known = _known_disturbances(moves)
-        if moving:
-            _check_apart(inputs, u, moving, known)
-        alike = {}  # logs of one length are one: in all of them the same disturbance may repeat
-        for (name, log), x, z, d in zip(named.items(), u, y, known, strict=True):
-            titles = _titles(log, len(z), name)
-            trials = Trials(x / sizes[0], z / sizes[1], titles, d)
-            alike.setdefault(len(z[0]), []).append(trials)
-        groups = tuple(_joined(trials) for trials in alike.values())
-        direct = source == "w" or "reference" not in logs[0] or delay.min() > 0
-        return cls(groups, inputs, loop.outputs, sizes, delay, direct, source, loop, moving)
+        disturbances, known = _known_disturbances(moves, inputs)
+        sizes = Sizes.of(moves)
+        return cls(
+            groups=_groups(moves, known, sizes),
+            inputs=inputs,
+            outputs=loop.outputs,
+            sizes=sizes,
+            delay=delay,
+            direct=source == "w" or "reference" not in logs[0] or delay.min() > 0,
+            source=source,
+            loop=loop,
+            disturbances=disturbances,
+        )
 
     @property
     def longest(self) -> int:
@@ -99,10 +107,32 @@ class _Moves(NamedTuple):
     u: np.ndarray
     y: np.ndarray
     disturbance: dict[str, np.ndarray]  # (trial, time) each, by name
+    titles: tuple[str, ...]  # of the trials, in messages
 
     def moves(self, name: str) -> bool:
         """Whether a disturbance moves within a trial."""
         return bool(self.disturbance[name].any())
+
+
+def _check_inputs_and_outputs(moves, inputs, outputs, first, source):
+    """Refuse inputs and outputs that stand still in all logs; `first`: the name of the first."""
+    remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+    check_moved([one.u for one in moves], inputs, f"{first}.{source}", remedy)
+    check_moved([one.y for one in moves], outputs, f"{first}.y", "is it connected?")
+
+
+def _groups(moves, known, sizes):
+    """Trials by their length: in all of one length the same disturbance may repeat."""
+    alike = {}
+    for one, disturbance in zip(moves, known, strict=True):
+        trials = Trials(
+            u=one.u / sizes.inputs,
+            y=one.y / sizes.outputs,
+            names=one.titles,
+            disturbance=disturbance,
+        )
+        alike.setdefault(one.y.shape[1], []).append(trials)
+    return tuple(_joined(trials) for trials in alike.values())
 
 
 def _joined(alike):
@@ -116,7 +146,14 @@ def _joined(alike):
     )
 
 
-def _known_disturbances(moves):
+def _source_of(logs, asked):
+    """The inputs that are asked for, or by default w, if all logs have a reference."""
+    if asked is None:
+        return "w" if all("reference" in log for log in logs) else "u"
+    return arguments.choice("of", asked, ["u", "w"])
+
+
+def _known_disturbances(moves, inputs):
     """Names of the disturbances that move in any log, and their moves in each of them.
 
     The moves are in units of their RMS, (trial, time, disturbance); None if nothing moves.
@@ -129,6 +166,7 @@ def _known_disturbances(moves):
         rest = np.zeros(one.y.shape[:2])
         known.append(np.stack([one.disturbance.get(name, rest) for name in names], axis=2))
     check_moved(known, names, "disturbance", "leave it out")
+    _check_apart(inputs, [one.u for one in moves], names, known)
     return tuple(names), [x / _sizes(known) for x in known]
 
 
@@ -158,35 +196,45 @@ def _loop_of(log, source):
 
 def _moves(name, log, source):
     """Inputs, outputs and known disturbances, from before each trial on."""
-    if source == "w" and "reference" not in log:
-        raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
-    if source == "u" and "u" not in log:
-        raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
-    u = log.get("applied", log.get("u")) if source == "u" else log.reference + log.get("v", 0)
-    limits, loop = limits_of(log), loop_of(log)
-    if source == "w" and limits and loop:  # w that asks for what was applied
-        asked = loop.asked(log).values
-        u.data = loop.realised(u.values, asked, Actuators.of(limits, loop).follow(asked))
-    # Before a trial w rests at the reference's first row; commands, at their own.
-    signals = [u, u if source == "u" else log.reference, log.y]
-    u, before, y = (signal.transpose(*AXES).values for signal in signals)
-    u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
-    y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
-    if len(y[0]) < FEWEST:
-        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
+    u, before = _inputs(name, log, source)
+    signals = [signal.transpose(*AXES).values for signal in (u, before, log.y)]
+    u = arguments.array(f"{name}.{source}", signals[0], ("trial", "time", "channel"))
+    y = arguments.array(f"{name}.y", signals[2], (*u.shape[:2], "channel"))
+    before = signals[1]
+    if len(y[0]) < FEWEST_SAMPLES:
+        raise LogError(
+            f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST_SAMPLES} or more"
+        )
     known = _disturbances_of(name, log, y.shape[:2])
     if RESET in log.attrs:  # trials go on where the last one ended: one record
         u, y, before = (signal.reshape(1, -1, signal.shape[2]) for signal in (u, y, before))
         known = {source: signal.reshape(1, -1) for source, signal in known.items()}
     with np.errstate(over="ignore"):  # which check_moved refuses
         known = {source: _without_rounding(signal) for source, signal in known.items()}
-        return _Moves(u - before[:, :1], y - y[:, :1], known)
+        return _Moves(u - before[:, :1], y - y[:, :1], known, _titles(log, len(y), name))
+
+
+def _inputs(name, log, source):
+    """The inputs, and the signal whose first row is where they rest before a trial."""
+    if source == "w" and "reference" not in log:
+        raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
+    if source == "u" and "u" not in log:
+        raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
+    if source == "u":  # commands rest at their own first row
+        u = log.get("applied", log.u)
+        return u, u
+    w = log.reference + log.get("v", 0)
+    limits, loop = limits_of(log), loop_of(log)
+    if limits and loop:  # w that asks for what was applied
+        asked = loop.asked(log).values
+        w.data = loop.realised(w.values, asked, Actuators.of(limits, loop).follow(asked))
+    return w, log.reference  # w rests at the reference's first row
 
 
 def _without_rounding(signal):
     """The moves (trial, time) from each trial's first sample on; zero if they are rounding."""
     moves = signal - signal[:, :1]
-    return moves * (np.abs(moves).max() > ROUNDING * np.abs(signal).max())
+    return moves * (np.abs(moves).max() > ROUNDING_OF_DISTURBANCE * np.abs(signal).max())
 
 
 def _disturbances_of(name, log, shape):
@@ -227,10 +275,10 @@ def check_moved(signals, names, what, remedy):
         words = ", ".join(np.array([*names])[still])
         raise LogError(f"{what} of {words} never moved: {remedy}")
     for name, most in zip(names, moves, strict=True):
-        if not SMALLEST <= most <= LARGEST:
+        if not SMALLEST_MOVES <= most <= LARGEST_MOVES:
             raise LogError(
                 f"{what} of {name} moves by {most:.3g}: choose a unit in which it moves by "
-                f"{SMALLEST:g} to {LARGEST:g}"
+                f"{SMALLEST_MOVES:g} to {LARGEST_MOVES:g}"
             )
 
 

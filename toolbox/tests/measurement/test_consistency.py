@@ -6,15 +6,22 @@ from problems import memory
 from records import dense
 from scipy.signal import detrend, lfilter
 
-from ilctools.measurement import consistency as module
-from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
-from ilctools.measurement.regression import Trials, regression
+from ilctools.measurement.arx.regression import regression
+from ilctools.measurement.arx.trials import Trials, series_of
+from ilctools.measurement.consistency import (
+    CURVED,
+    FOLLOWS,
+    PLAY,
+    columns_of,
+    contradictions,
+    score,
+)
 
 
 def trials(u, y):
     """Of one input, (trial, time) each, relative to the first sample."""
     u, y = ((x - x[:, :1])[..., None] for x in (u, y))
-    return [Trials(u, y, tuple(f"trial {k}" for k in range(len(y))))]
+    return [Trials(u=u, y=y, names=tuple(f"trial {k}" for k in range(len(y))))]
 
 
 def said(groups, reference=True):
@@ -33,13 +40,15 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     groups = trials(u, lagged(u, rng))
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
-    added = list(module._columns(fit, groups, fit.impulse(80).T, 3))
-    q, J, power = module._score(fit, groups, iter(added))
+    columns = columns_of(fit, groups)
+    q, J, power = score(fit, groups, columns)
     rows, means = dense(groups, layout)
     X, y = rows[:, :-1], rows[:, -1]
-    gain = X @ (fit.mean * (layout.kind == 1))
-    Z = np.column_stack([gain, np.hstack([detrend(Z) for Z in added]).T])
-    V = np.diag(1 / np.where(means, post.weight, 1.0)) + X * post.size**2 @ X.T
+    of_B = layout.where_B(0)
+    gain = X[:, of_B] @ fit.mean[of_B]
+    added = [detrend(columns(series)) for series in series_of(groups)]
+    Z = np.column_stack([gain, np.hstack(added).T])
+    V = np.diag(1 / np.where(means, post.weight, 1.0)) + X * post.root_D**2 @ X.T
     unit = np.sqrt(power.diagonal())
     Z /= unit
     by_hand = Z.T @ np.linalg.solve(V, np.column_stack([y, Z]))

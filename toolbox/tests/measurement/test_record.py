@@ -9,8 +9,8 @@ from plants import furnace
 from ilctools import measured_response
 from ilctools.errors import LogError
 from ilctools.measurement import estimation
+from ilctools.measurement.arx.regression import regression
 from ilctools.measurement.record import Record
-from ilctools.measurement.regression import regression
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
 
@@ -60,7 +60,7 @@ def test_a_known_delay_is_less_to_estimate(monkeypatch):
     assert np.median(late.radius() / searched.radius()) < 1  # which is a few samples short
     model = late.model()  # a delay is states
     assert model.nstates == 1 + 60 and np.all(error(late, model) <= late.radius(0.99, jointly=True))
-    monkeypatch.setattr(estimation, "ROWS", 50)
+    monkeypatch.setattr(estimation, "HANKEL_ROWS", 50)
     with pytest.raises(LogError, match="no model of up to 50 states"):
         late.model()
     for delay in (-1, 0.5, [1, 2]):
@@ -73,6 +73,6 @@ def test_a_gain_of_one_at_rest_makes_low_frequencies_certain():
     plant = control.ss(control.tf([0.02], [1, -0.98], 1.0))
     groups = Record.of(moved(plant, 300, noise=0.1)).groups
     known, free = (regression(groups, False, gain=gain) for gain in ([1.0], None))
-    variances = [np.trace(fit.covariance(np.array([1e-4]))[0][0]) for fit in (known, free)]
+    variances = [np.trace(fit.covariance(np.array([1e-4])).of_P[0]) for fit in (known, free)]
     assert variances[0] < 0.04 * variances[1]
     assert abs(known.response(np.zeros(1)).item() - 1) < 1e-2

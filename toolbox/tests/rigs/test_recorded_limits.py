@@ -63,8 +63,8 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
 
     log = load_log(path)
     moves = Record.of(log)  # for an estimate of P: w is what asks for what was applied
-    for w, y in zip(moves.groups[0].u, moves.groups[0].y * moves.sizes[1], strict=True):
-        answer = control.forced_response(loop.P, inputs=(w * moves.sizes[0]).T, squeeze=False)
+    for w, y in zip(moves.groups[0].u, moves.groups[0].y * moves.sizes.outputs, strict=True):
+        answer = control.forced_response(loop.P, inputs=(w * moves.sizes.inputs).T, squeeze=False)
         np.testing.assert_allclose(answer.outputs.T, y, atol=1e-4 * np.abs(y).max())
     replayed = replay(log)
     assert "the recorded v is that of the law in every trial" in repr(replayed)

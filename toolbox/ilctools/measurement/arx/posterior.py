@@ -1,0 +1,66 @@
+"""The posterior of the unknowns, if the hyperparameters are given.
+
+With the regressors X, y and the variances D of the prior, all in units of s,
+
+    U' U = I + D^(1/2) X' X D^(1/2),    x = D^(1/2) U^-1 h,    U' h = D^(1/2) X' y,             (3)
+    s^2 = r / n,    r = y' y - h' h,
+
+x is the mean of the unknowns, s^2 D^(1/2) (U' U)^-1 D^(1/2) their covariance. Products X' X, X' y
+and y' y of means over trials have a weight.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
+
+from ilctools.measurement.arx.prior import Hyperparameters, prior
+from ilctools.measurement.arx.regressors import Data
+
+# Added to the diagonal of U' U, relative to it. Cholesky's rounding is a few hundred times 1e-16 of
+# it: so it stays positive definite also without noise.
+CHOLESKY_ROUNDING = 1e-12
+LEAST_RESIDUE = 1e-14  # r relative to y' y: rounding counts as noise
+
+
+class Posterior(NamedTuple):
+    """(3), for unknowns in units of D^(1/2)."""
+
+    root_D: np.ndarray
+    U: np.ndarray
+    h: np.ndarray
+    r: float  # a residual sum of squares
+    weight: float  # of means over trials, in which a disturbance may repeat
+
+    @property
+    def z(self) -> np.ndarray:
+        """D^(-1/2) x."""
+        return solve_triangular(self.U, self.h, check_finite=False)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """x."""
+        return self.root_D * self.z
+
+    def inverse(self) -> np.ndarray:
+        """(U' U)^-1, its upper half and the diagonal."""
+        return dpotri(self.U)[0]
+
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """U'^-1 D^(1/2) of columns (unknown, column), in which the covariance is s^2 I."""
+        return solve_triangular(self.U, self.root_D[:, None] * columns, trans=1)
+
+
+def posterior(eta: np.ndarray, data: Data) -> Posterior:
+    """(3), at one vector of hyperparameters."""
+    eta = Hyperparameters(*eta)
+    weight = eta.weight if data.products.samples_of_means else 1.0
+    root_D = np.exp(prior(eta, data.layout).log_D / 2)
+    G = data.products.weighted(weight)  # of [X, y]
+    XX, Xy, yy = G[:-1, :-1], G[:-1, -1], G[-1, -1]
+    UU = root_D[:, None] * XX * root_D
+    UU[np.diag_indices_from(UU)] = UU.diagonal() * (1 + CHOLESKY_ROUNDING) + 1
+    U = cholesky(UU, check_finite=False)
+    h = solve_triangular(U, root_D * Xy, trans=1, check_finite=False)
+    return Posterior(root_D, U, h, max(yy - h @ h, LEAST_RESIDUE * yy), weight)

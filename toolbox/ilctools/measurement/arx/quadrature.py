@@ -1,0 +1,36 @@
+"""The covariance of the unknowns, over the hyperparameters that the records admit.
+
+About the likeliest eta the hyperparameters are taken to be normal, with the inverse S S' of the
+curvature of (4) as their covariance. They are integrated over by the points of a cubature rule,
+
+    eta + HEAVY sqrt(d) S_k,    eta - HEAVY sqrt(d) S_k,    k = 1 ... d,                        (5)
+
+d the number of entries and S_k the columns of S (I. Arasaratnam and S. Haykin, IEEE Trans. Autom.
+Control 54 (2009) 1254-1269, where HEAVY is one). At each point the unknowns have a mean and a
+covariance (3); their covariance over all points is the mean of the covariances, and of the squares
+of what the means differ from that at the likeliest eta. No number is random.
+"""
+
+import numpy as np
+
+from ilctools.measurement.arx.posterior import posterior
+from ilctools.measurement.arx.prior import LARGEST_LOGARITHM
+from ilctools.measurement.arx.regressors import Data
+
+HEAVY = 1.2  # tails of eta, relative to normal ones: counted
+
+
+def points_about(eta: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """(5), (point, entry of eta)."""
+    apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])  # S is symmetric
+    return np.clip(eta + apart, -LARGEST_LOGARITHM, LARGEST_LOGARITHM)
+
+
+def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
+    """The covariance of x, over the points, (unknown, unknown)."""
+    mean, points, C = posterior(eta, data).mean, points_about(eta, S), 0.0
+    for there in (posterior(point, data) for point in points):
+        own = there.r / data.n * there.inverse() * np.outer(there.root_D, there.root_D)
+        moved = there.mean - mean
+        C = C + (own + np.outer(moved, moved)) / len(points)
+    return np.triu(C) + np.triu(C, 1).T

@@ -1,0 +1,129 @@
+"""P of one output from signals as they come, and how far off it may be: the estimator.
+
+    A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
+
+The inputs u are those that were commanded, of which P is asked, and then the known disturbances,
+which were measured. A known disturbance has a B of its own, which is estimated like the others.
+P = B / A, of the commanded inputs. The steps, each in a module of this room:
+
+=============  =====================================================================  ==========
+trials         a mean and differences of trials, one by one
+unknowns       what is estimated: A, each B with slow parts, starts and drifts        (1)
+regressors     X of them, and the products X' X and X' y
+prior          variances of the unknowns, by hyperparameters eta                      (2)
+posterior      of the unknowns, at one eta                                            (3)
+likelihood     of eta, its gradient and its maximum                                   (4)
+delay          of each input, where the posterior is larger for it
+quadrature     the covariance of the unknowns over eta                                (5)
+regression     P, and the covariance of its error                                     (6)
+=============  =====================================================================  ==========
+
+*Error of P.* To first order it is normal,
+
+    dP_j = (dB_j - P_j dA) / A.                                                                 (6)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ilctools.measurement.arx.delay import Search, with_delays
+from ilctools.measurement.arx.likelihood import polished
+from ilctools.measurement.arx.posterior import Posterior, posterior
+from ilctools.measurement.arx.quadrature import covariance
+from ilctools.measurement.arx.regressors import Data
+from ilctools.measurement.arx.trials import Channels, Trials
+from ilctools.measurement.arx.unknowns import Kind, coefficients
+
+
+class ErrorOfP(NamedTuple):
+    """What (6) makes of the covariance of the unknowns, at n angles omega Ts."""
+
+    of_P: np.ndarray  # covariance of dP, real parts first, (n, 2 m, 2 m)
+    of_A: np.ndarray  # variances of the real and the imaginary part of dA / A, (2, n)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """P from m commanded inputs to one output, and the error that it may have."""
+
+    channels: Channels
+    mean: np.ndarray  # x, (unknown,)
+    data: Data
+    posterior: Posterior  # for the likeliest hyperparameters
+    C: np.ndarray  # covariance of x, over the points of the quadrature, (unknown, unknown)
+
+    @property
+    def lags(self) -> int:
+        """Lags of A."""
+        return self.data.layout.lags
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """P at angles omega Ts, shape (n, m)."""
+        A, layout = self._A(omega), self.data.layout
+        B = [
+            layout.waves_of_B(j, omega) @ self.mean[layout.where_B(j)]
+            for j in range(self.channels.commanded)
+        ]
+        return np.stack(B, axis=1) / A[:, None]
+
+    def _A(self, omega):
+        layout = self.data.layout
+        return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
+
+    def covariance(self, omega: np.ndarray) -> ErrorOfP:
+        """The covariance of (6) at angles omega Ts, (n,)."""
+        layout, P, A = self.data.layout, self.response(omega), self._A(omega)[:, None]
+        of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
+        of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
+        of_P = []  # dP_j by each unknown, input by input
+        for j in range(self.channels.commanded):
+            slopes = -P[:, [j]] * of_A  # (6)
+            slopes[:, layout.where_B(j)] = layout.waves_of_B(j, omega) / A
+            of_P.append(slopes)
+        both = np.stack([*[slope.real for slope in of_P], *[slope.imag for slope in of_P]], axis=1)
+        parts = np.stack([of_A.real, of_A.imag])
+        return ErrorOfP(
+            of_P=both @ self.C @ both.swapaxes(1, 2), of_A=np.sum(parts @ self.C * parts, axis=2)
+        )
+
+    @property
+    def denominator(self) -> np.ndarray:
+        """The estimate of A, lag by lag."""
+        layout = self.data.layout
+        past = coefficients(self.mean[layout.where(Kind.A)], layout.knots_of_A, self.lags + 1)
+        return np.eye(1, self.lags + 1)[0] + past
+
+    @property
+    def stable(self) -> bool:
+        """Whether the estimate of A has no zero outside the unit circle, by how often it turns."""
+        a = self.denominator
+        turns = np.fft.rfft(a, 2 * len(a) + 4096)
+        return bool(abs(np.angle(turns[1:] / turns[:-1]).sum()) < 1)
+
+    def impulse(self, n: int) -> np.ndarray:
+        """Impulse responses over n samples to all inputs, (m + d, n): disturbances stand last."""
+        layout, poles, B = self.data.layout, self.data.layout.poles, []
+        for j, knots in enumerate(layout.knots_of_B):
+            B.append(coefficients(self.mean[layout.where(Kind.B, j)], knots, n))
+            slow = self.mean[layout.where(Kind.SLOW, j)]
+            B[j][1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
+        return lfilter([1.0], self.denominator, np.array(B))
+
+
+def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
+    """Estimate P to one output.
+
+    `direct`: whether y(t) may depend on the commanded inputs at t, or when their delay is over.
+    `delays`, (m,): the least delays of the commanded inputs, samples; more are tried where
+    correlations show them. `gain`, (m,): P at rest, if it is known.
+    """
+    channels = Channels.of(groups)
+    least = np.zeros(channels.all, int)  # of a known disturbance nothing is known beforehand
+    least[: channels.commanded] = delays
+    best, S = polished(with_delays(Search(groups, direct, gain), least))
+    at = posterior(best.eta, best.data)
+    return Regression(channels, at.mean, best.data, at, covariance(best.eta, S, best.data))

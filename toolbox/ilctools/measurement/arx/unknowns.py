@@ -1,0 +1,185 @@
+"""The unknowns of the regression, in blocks: of A, each B, starts, drifts and slow parts.
+
+    A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
+
+A is monic. A and each B have as many lags as a quarter of the longest trial; the lags of a B are
+counted from a delay of its input. A start is the response to what was before a series, and is as
+long. A drift is a random walk. Beside its lags each B has slow parts x (1 - p) / (z - p) with time
+constants of the longest trial and a third of it. A plant may have a small part that is far slower
+than the rest: without slow parts it would be taken for drift, and the error not be seen.
+
+The unknowns of a response are its increments from lag to lag. Far lags share one: the coefficients
+are on straight lines between *knots*. With H the coefficients of all increments, coefficients are
+H x: a column of H is one from the first knot to its own, and from there falls to zero at the next.
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import diric
+
+from ilctools.measurement.arx.trials import Channels, Trials, keys_of, longest_of
+
+# The longest trial has so many times the lags of A and B. More lags cost time, fewer cut off slow
+# plants.
+SHARE_OF_LAGS = 4
+FEWEST_LAGS = 4
+TIME_CONSTANTS = np.array([1.0, 3.0])  # of slow parts, in 1 / (the longest trial)
+# Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP: up to
+# an eighth of the lag, which saves time. For starts both numbers are divided by these.
+CLOSE_KNOTS, KNOTS_STEP = 40, 8
+COARSER_CLOSE, COARSER_STEP = 6, 2
+MOST_OF_STARTS = 300  # unknowns of all starts, for the time they take; with more, first samples go
+DRIFT_KNOTS = 64  # of a drift, between which it is straight
+
+
+class Kind(IntEnum):
+    """What an unknown is of. The unknowns of a kind have one prior variance c in common."""
+
+    A = 0  # increments of A
+    B = 1  # increments of the B of an input
+    START = 2  # increments of what the start of a series leaves
+    DRIFT = 3  # steps of the drift of a group
+    SLOW = 4  # slow parts of the B of an input
+
+
+class Block(NamedTuple):
+    """Unknowns that belong together, and by how many lags each comes late in the prior (2)."""
+
+    kind: Kind
+    owner: Hashable  # the input of B and slow parts, the key of a series, the position of a group
+    lag: np.ndarray  # (unknown,)
+    gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
+
+    @classmethod
+    def of_lags(cls, kind: Kind, owner: Hashable, knots: np.ndarray, late: int = 0) -> "Block":
+        """Increments at knots, which decay from `late` lags after the first one on."""
+        lag = np.maximum(knots - knots[0] - late, 0.0)
+        return cls(kind, owner, lag, np.append(np.diff(knots), np.inf))
+
+    @classmethod
+    def alike(cls, kind: Kind, owner: Hashable, n: int) -> "Block":
+        """Unknowns without an order, each of the variance c."""
+        return cls(kind, owner, np.zeros(n), np.full(n, np.inf))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Unknowns x, block by block, and the lags that they stand for.
+
+    A stands first, then each B, and behind them the blocks without lags of a signal.
+    """
+
+    blocks: tuple[Block, ...]
+    knots_of_A: np.ndarray  # lags
+    knots_of_B: tuple[np.ndarray, ...]  # lags of each input
+    knots_of_start: np.ndarray  # samples after the beginning of a series
+    poles: np.ndarray  # of slow parts
+    skipped: int  # samples at the beginning of each series that are left out, if it has no start
+
+    @cached_property
+    def kind(self) -> np.ndarray:
+        """The kind of each unknown, (unknown,)."""
+        return np.concatenate([np.full(len(block.lag), block.kind) for block in self.blocks])
+
+    @cached_property
+    def lag(self) -> np.ndarray:
+        """See :class:`Block`, (unknown,)."""
+        return np.concatenate([block.lag for block in self.blocks])
+
+    @cached_property
+    def gap(self) -> np.ndarray:
+        """See :class:`Block`, (unknown,)."""
+        return np.concatenate([block.gap for block in self.blocks])
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        return len(self.kind)
+
+    @cached_property
+    def _places(self):
+        places, first = {}, 0
+        for kind, owner, lag, _ in self.blocks:
+            places[kind, owner] = slice(first, first + len(lag))
+            first += len(lag)
+        return places
+
+    def where(self, kind: Kind, owner: Hashable = None) -> slice:
+        """Where the unknowns of a block stand in x."""
+        return self._places[kind, owner]
+
+    def where_B(self, j: int) -> np.ndarray:
+        """Where the increments, and then the slow parts, of the B of input j stand in x."""
+        return np.r_[self.where(Kind.B, j), self.where(Kind.SLOW, j)]
+
+    @property
+    def lags(self) -> int:
+        """Lags of A."""
+        return self.knots_of_A[-1]
+
+    def waves_of_A(self, omega: np.ndarray) -> np.ndarray:
+        """A - 1 at angles omega Ts, by each of its unknowns, (n, unknown)."""
+        return waves(self.knots_of_A, omega)
+
+    def waves_of_B(self, j: int, omega: np.ndarray) -> np.ndarray:
+        """The B of input j at angles omega Ts, by each of its unknowns, (n, unknown)."""
+        slow = (1 - self.poles) / (np.exp(1j * omega)[:, None] - self.poles)
+        return np.hstack([waves(self.knots_of_B[j], omega), slow])
+
+
+def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Layout:
+    """The unknowns of trials.
+
+    `direct`: whether y(t) may depend on the commanded inputs at t, or when their delay is over;
+    `delays`: of all inputs, (m + d,).
+    """
+    longest, commanded = longest_of(groups), Channels.of(groups).commanded
+    reach = max(FEWEST_LAGS, longest // SHARE_OF_LAGS)
+    past, at_once = (knots_between(first, reach, CLOSE_KNOTS, KNOTS_STEP) for first in (1, 0))
+    # A disturbance does not follow y: y(t) may depend on it at t, whatever the commands do.
+    knots_of_B = tuple(
+        delay + (at_once if direct or j >= commanded else past) for j, delay in enumerate(delays)
+    )
+    keys, late, start = keys_of(groups), max(delays), _knots_of_start(reach, max(delays))
+    has_starts = len(keys) * len(start) <= MOST_OF_STARTS
+    poles = np.exp(-TIME_CONSTANTS / longest)
+    blocks = (
+        Block.of_lags(Kind.A, None, past),
+        *(Block.of_lags(Kind.B, j, knots) for j, knots in enumerate(knots_of_B)),
+        *(Block.alike(Kind.SLOW, j, len(poles)) for j in range(len(delays))),
+        *(Block.of_lags(Kind.START, key, start, late) for key in keys if has_starts),
+        *(Block.alike(Kind.DRIFT, i, DRIFT_KNOTS) for i in range(len(groups))),
+    )
+    return Layout(blocks, past, knots_of_B, start, poles, 0 if has_starts else reach)
+
+
+def _knots_of_start(reach, late):
+    """An input that rested elsewhere before is still on its way until the latest delay."""
+    knots = knots_between(0, reach, CLOSE_KNOTS // COARSER_CLOSE, KNOTS_STEP // COARSER_STEP)
+    return np.unique(np.append(0, late + knots))
+
+
+def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:
+    """Lags from the first to the last one: all up to `close`, then ever further apart."""
+    knots = [first]
+    while knots[-1] < last:
+        apart = 1 + max(0, knots[-1] - close) // step
+        knots.append(min(last, knots[-1] + apart))
+    return np.array(knots)
+
+
+def waves(knots: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """The frequency response of each column of H, (n, knot), by sums of geometric series."""
+    gap, omega = np.append(np.diff(knots), 1), np.where(omega, omega, 1e-200)[:, None]
+    earlier = np.exp(-1j * omega * (knots + (gap + 1) / 2)) * diric(omega, gap)
+    return (np.exp(-1j * omega * knots[0]) - earlier) / (1 - np.exp(-1j * omega))
+
+
+def coefficients(x: np.ndarray, knots: np.ndarray, n: int) -> np.ndarray:
+    """H x, filled up with zeros, or cut off, to n lags."""
+    return np.interp(np.arange(n), knots, np.cumsum(x[::-1])[::-1], 0, 0)

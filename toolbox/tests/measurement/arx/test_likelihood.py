@@ -1,0 +1,98 @@
+"""The marginal likelihood: against the same normal distribution, written out."""
+
+import numpy as np
+import pytest
+from records import dense, trials_of
+from scipy.optimize import approx_fprime
+from scipy.signal import lfilter
+
+from ilctools.measurement.arx import regressors, unknowns
+from ilctools.measurement.arx.likelihood import likeliest, negative_log_posterior, polished
+from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, Hyperparameters, prior
+from ilctools.measurement.arx.regressors import data_of
+from ilctools.measurement.arx.trials import Trials
+
+
+@pytest.mark.parametrize(
+    ("lengths", "trials", "starts", "kept"),
+    [((60,), 3, 300, 180), ((40, 60), 1, 300, 100), ((60,), 3, 30, 135)],
+)
+def test_the_likelihood_is_that_of_the_normal_distribution(
+    monkeypatch, lengths, trials, starts, kept
+):
+    """Of all samples, some at a time; where starts are too many, without the first."""
+    monkeypatch.setattr(unknowns, "MOST_OF_STARTS", starts)
+    monkeypatch.setattr(regressors, "STRETCH", 16)
+    groups = [trials_of(trials, N, seed=N) for N in lengths]
+    data = data_of(groups, True, np.array([0, 7]))
+    rows, means = dense(groups, data.layout)
+    X, y, count = rows[:, :-1], rows[:, -1], len(rows) - 2 * len(lengths) * trials
+    assert len(rows) == kept
+    eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
+    ratio = 1 / (1 + np.exp(0.7)) if means.any() else 1.0
+    D = np.exp(prior(Hyperparameters(*eta), data.layout).log_D)
+    S = np.diag(np.where(means, 1 / ratio, 1.0)) + X * D @ X.T
+    rest = y @ np.linalg.solve(S, y)
+    by_hand = count / 2 * np.log(rest) + np.linalg.slogdet(S)[1] / 2
+    by_hand += np.log(ratio)  # twice its half: offset and slope of the mean are free
+    off = eta + OF_OUTPUT * np.log(rest / count) - CENTRE
+    value, gradient = negative_log_posterior(eta, data)
+    assert value == pytest.approx(by_hand + np.sum((off / WIDTH) ** 2) / 2, abs=1e-6)
+    steps = approx_fprime(eta, lambda x: negative_log_posterior(x, data)[0], 1e-6)
+    np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=1e-3)
+
+
+def held(rng, N, samples):
+    return np.repeat(rng.standard_normal(N // samples), samples)
+
+
+def with_noise_like_a_drift(seed):
+    """One trial with coloured noise."""
+    rng = np.random.default_rng(seed)
+    u = held(rng, 60, 3)[None]
+    noise = lfilter([1], [1, -0.9], 0.02 * rng.standard_normal(60))
+    return group_of(u, lfilter([0, 0.2], [1, -0.8], u) + noise)
+
+
+def with_what_repeats(seed):
+    """Two trials with a random walk that repeats."""
+    rng = np.random.default_rng(seed)
+    u = np.stack([held(rng, 60, 5), held(rng, 60, 5)])
+    repeats = np.cumsum(0.3 * rng.standard_normal(60))
+    noise = 0.03 * rng.standard_normal(u.shape)
+    return group_of(u, lfilter([0, 0.2], [1, -0.8], u) + repeats + noise)
+
+
+def group_of(u, y):
+    y = y - y[:, :1]
+    return Trials(u=u[..., None], y=y[..., None], names=("",) * len(u))
+
+
+@pytest.mark.parametrize(
+    ("make", "seed"),
+    [
+        (with_noise_like_a_drift, 32),  # with the guess of a drift alone, it is 2.6 higher
+        (with_noise_like_a_drift, 80),  # 4.4
+        (with_what_repeats, 29),  # with the guess of none alone, 10.1
+        (with_what_repeats, 92),  # 13.1
+    ],
+)
+def test_of_two_minima_the_lower_one_is_found(make, seed):
+    """No search from 20 other guesses finds a lower one."""
+    data, rng = data_of([make(seed)], True, np.zeros(1, int)), np.random.default_rng(0)
+    others = CENTRE + 6 * OF_OUTPUT + WIDTH * rng.uniform(-1, 2, (20, len(CENTRE)))
+    lowest = likeliest(data, 60, others).cost
+    assert likeliest(data, 60).cost < lowest + 0.05  # BFGS ends 0.01 above it
+
+
+def test_the_likeliest_eta_does_not_depend_on_where_its_search_began():
+    """BFGS leaves it apart by 0.007 of a standard deviation, and the curvature by 0.3 %."""
+    data = data_of([with_what_repeats(29)], True, np.zeros(1, int))
+    best = likeliest(data, 60)
+    (one, S), (two, T) = (
+        polished(likeliest(data, 60, [best.eta + moved])) for moved in (0.1, -0.1)
+    )
+    # Each Newton step leaves as much as the curvature is wrong: 0.007 * 0.003^4, and rounding.
+    assert np.abs(np.linalg.solve(S, one.eta - two.eta)).max() < 1e-9
+    assert np.abs(S @ negative_log_posterior(one.eta, data)[1]).max() < 1e-9
+    np.testing.assert_allclose(S, T, atol=0.01 * np.abs(S).max())

@@ -1,0 +1,62 @@
+"""The prior of the unknowns and of the hyperparameters."""
+
+import numpy as np
+import pytest
+from records import trials_of
+
+from ilctools.measurement.arx import prior as module
+from ilctools.measurement.arx.prior import (
+    ASSUMED,
+    CENTRE,
+    FIRST_GUESSES,
+    Hyperparameters,
+    bounds_of,
+    prior,
+    standardised,
+)
+from ilctools.measurement.arx.regressors import lagged
+from ilctools.measurement.arx.unknowns import Kind, layout_of
+
+ETA = Hyperparameters(
+    log_c_A=0.1, log_c_B=0.7, log_c_start=0.2, log_c_drift=0.4, log_T=2.0, rho=0.0, log_c_slow=0.3
+)
+
+
+def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_delay():
+    layout = layout_of([trials_of(1)], True, np.array([7, 2]))
+    D = np.exp(prior(ETA, layout).log_D)
+    np.testing.assert_allclose(D[layout.where(Kind.SLOW, 0)], np.exp(0.3))
+    np.testing.assert_allclose(D[layout.where(Kind.DRIFT, 0)], np.exp(0.4))
+    for kind, owner, log_c, knots in (
+        (Kind.B, 0, 0.7, layout.knots_of_B[0]),
+        (Kind.A, None, 0.1, layout.knots_of_A),
+    ):
+        lags, first = np.arange(knots[-1] + 1), knots[0]
+        moves = lagged(lags == 0, knots)(slice(None)).T
+        covariance = moves * D[layout.where(kind, owner)] @ moves.T
+        lag = np.arange(len(covariance) - first)
+        kernel = np.exp(log_c - np.maximum.outer(lag, lag) / np.exp(2.0))
+        np.testing.assert_allclose(covariance[first:, first:], kernel, rtol=1e-9)
+        assert not covariance[:first].any()
+
+
+def test_the_slope_of_the_prior_is_that_of_differences():
+    layout = layout_of([trials_of(1)], True, np.array([7, 2]))
+    step = 1e-6
+    above, below = (
+        prior(ETA._replace(log_T=ETA.log_T + sign * step), layout).log_D for sign in (1, -1)
+    )
+    slope = prior(ETA, layout).slope
+    np.testing.assert_allclose(slope, (above - below) / (2 * step), atol=1e-7)
+
+
+def test_each_hyperparameter_has_one_row_and_stands_where_its_name_does():
+    assert [*ASSUMED] == [*Hyperparameters._fields]
+    centre, first = Hyperparameters(*CENTRE), Hyperparameters(*FIRST_GUESSES[0])
+    assert (centre.log_T, centre.log_c_slow, first.log_c_drift) == (2.3, -5.8, -3.0)
+    bounds = Hyperparameters(*bounds_of(100))
+    assert bounds.log_T == (module.SHORTEST_LOG_T, np.log(500)) and bounds.rho == (-50.0, 50.0)
+    away = Hyperparameters(*standardised(CENTRE, np.exp(-6.0)))  # noise of 5 % of the output
+    assert away == pytest.approx((-2.0, -2.0, -2.0, 0.0, 0.0, 0.0, -12.0))
+    np.testing.assert_array_equal(ETA.of_kinds()[[Kind.SLOW, Kind.START]], [0.3, 0.2])
+    assert ETA.weight == 0.5

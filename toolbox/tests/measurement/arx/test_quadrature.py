@@ -1,0 +1,30 @@
+"""The covariance over the hyperparameters: inverses of dense matrices, point by point."""
+
+import numpy as np
+from records import trials_of
+
+from ilctools.measurement.arx.likelihood import likeliest, polished
+from ilctools.measurement.arx.prior import Hyperparameters, prior
+from ilctools.measurement.arx.quadrature import HEAVY
+from ilctools.measurement.arx.regression import regression
+from ilctools.measurement.arx.regressors import data_of
+
+
+def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparameters():
+    """About the estimate, at each of the points: inverses of dense matrices."""
+    groups = [trials_of(1, N=40, noise=0.3)]
+    fit = regression(groups, direct=True)
+    best, S = polished(likeliest(data_of(groups, True, np.zeros(2, int)), 40))
+    data, expected = best.data, 0.0
+    b, s = data.products.single[:-1, -1], data.products.single[-1, -1]
+    points = best.eta + HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])
+    for eta in points:
+        precision = data.products.single[:-1, :-1] + np.diag(
+            np.exp(-prior(Hyperparameters(*eta), data.layout).log_D)
+        )
+        mean = np.linalg.solve(precision, b)
+        variance = (s - mean @ b) / data.n
+        off = mean - fit.mean
+        expected = expected + variance * np.linalg.inv(precision) + np.outer(off, off)
+    expected /= len(points)
+    np.testing.assert_allclose(fit.C, expected, rtol=1e-5, atol=1e-6 * expected.max())
