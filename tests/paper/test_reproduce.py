@@ -1,5 +1,4 @@
 import multiprocessing
-import os
 import re
 import shutil
 import time
@@ -7,8 +6,9 @@ from types import SimpleNamespace
 
 import nbformat
 import pytest
+from apart import to_files
 
-from rodlib.paper import ROOT, ledger, published, reproduce
+from rodlib.paper import ROOT, ledger, published
 from rodlib.paper.ledger import Ledger
 
 
@@ -54,13 +54,6 @@ def begin(root):
     process = APART.Process(target=to_files, args=(root,))
     process.start()
     return process
-
-
-def to_files(root):
-    for number, name in ((1, "stdout"), (2, "stderr")):
-        with open(root / name, "w") as file:
-            os.dup2(file.fileno(), number)
-    reproduce.main(root)
 
 
 def run(root):

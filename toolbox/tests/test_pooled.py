@@ -1,7 +1,5 @@
 """Several plants as one model: against the formula of the law, and dense matrices."""
 
-import time
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -46,13 +44,12 @@ def test_where_rounding_is_more_than_the_error_all_states_are_kept():
     assert pooled(plants, b, CHANGES[0]).P.nstates == sum(P.nstates for P in plants)
 
 
-@pytest.mark.parametrize("plants", [copies(40), others(40)])
-def test_forty_plants_are_designed_and_printed_in_seconds(plants, tmp_path):
-    """0.8 and 3 s of CPU; with the states of all plants 76 s and more. A file keeps their base."""
-    lowpass, begin = zero_phase_butterworth(2, 40.0, 0.01), time.process_time()
-    design = synthesise(plants, lowpass)
+@pytest.mark.parametrize(("plants", "states"), [(copies(40), 2), (others(40), 40)])
+def test_forty_plants_are_designed_with_few_states(plants, states, tmp_path):
+    """They have eighty; the time grows with the cube of those of B. A file keeps the base."""
+    design = synthesise(plants, zero_phase_butterworth(2, 40.0, 0.01))
     assert "norm of a trial" in repr(design) and design.certificate.failures == []
-    assert time.process_time() - begin < 15
+    assert design.problem.base.P.nstates <= states
     save_law(tmp_path / "law.json", design.law())
     read, e = load_law(tmp_path / "law.json"), np.random.default_rng(0).standard_normal((50, 1))
     assert_allclose(read.next(0 * e, e), design.law().next(0 * e, e), rtol=1e-12)
