@@ -208,7 +208,7 @@ class Certificate:
         units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and np.all(problem.scale == 1):
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
-        found += self._doubts
+        found += doubts(response)
         if response.models[0] is None and response.low is None:  # else signals say what leads
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
@@ -222,10 +222,6 @@ class Certificate:
         if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
             found.append(Finding(code, peak.sigma, known, self.place(peak)))
         return found
-
-    @cached_property
-    def _doubts(self) -> list[Finding]:
-        return doubts(self.problem.response)
 
     def place(self, peak):
         """Where a peak is, and of which plant."""

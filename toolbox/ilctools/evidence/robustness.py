@@ -72,11 +72,15 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-    radius = 0 if problem.radius is None else problem.radius
-    sigma = np.array([within_radius(P, problem.Q, response, radius, 0) for P in problem.plants])
+    sigma = np.array([worst_sigma(problem, response, k, 0) for k in range(len(problem.plants))])
     ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
     pairs = tuple((plant, frequency) for frequency, plant in ties)
     return WorstCase(sigma.max(axis=0), pairs)
+
+
+def worst_sigma(problem, L, k, level):
+    """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
+    return within_radius(problem.plants[k], problem.Q, L, problem.response.radii, level)
 
 
 def within_radius(P, Q, L, radius, level):

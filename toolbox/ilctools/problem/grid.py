@@ -120,8 +120,7 @@ def _joined(problem, omega, P, Q, radius):
     def extended(own, further, axis=0):
         return np.concatenate([own, further], axis).take(order, axis)
 
-    zero = np.zeros(len(problem.omega))
-    radius = extended(zero if response.radius is None else response.radius, radius)
+    radius = extended(response.radii, radius)
     response = replace(
         response,
         omega=extended(response.omega, omega),

@@ -203,8 +203,7 @@ def _gain(response, lowpass, M_max, pooled):
     """The default bound on L; `pooled` says that it decides b of L = B."""
     omega, cutoff = response.omega, lowpass.cutoff
     # What is not known beyond its radius is not worth inverting.
-    radius = 0 if response.radius is None else response.radius
-    smallest = np.maximum(_smallest_singular_values(response, cutoff), radius)
+    smallest = np.maximum(_smallest_singular_values(response, cutoff), response.radii)
     if not pooled:
         return defaults.gain(cutoff, smallest, omega)
     Q = np.abs(lowpass.frequency_response(omega))

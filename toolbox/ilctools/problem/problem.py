@@ -285,7 +285,6 @@ class Solution:
     U: np.ndarray
     V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain
-    iterations: int
     cuts: Cuts | None = None  # what was needed of them
 
 

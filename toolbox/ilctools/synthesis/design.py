@@ -304,7 +304,7 @@ def direct(problem: Problem) -> Synthesis | None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
     zero = np.zeros((len(problem.omega), *one.shape))
-    solution = Solution(one[..., None], zero, zero, largest=np.nan, iterations=0)
+    solution = Solution(one[..., None], zero, zero, largest=np.nan)
     certificate = check(problem, problem.scaled_filter(solution.coefficients))
     beyond = certificate.peaks.get("assumed")
     if certificate.failures or (beyond is not None and beyond.sigma > problem.M_max):

@@ -104,7 +104,7 @@ class Formulation:
         if problem.radius is not None:
             of_cuts = N[1]
         cuts = Cuts(self.plant, self.frequency, of_cuts) if len(self.plant) else None
-        return Solution(C, U, V, optimum.largest, optimum.iterations, cuts)
+        return Solution(C, U, V, optimum.largest, cuts)
 
 
 class Levels(NamedTuple):
@@ -160,9 +160,9 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
 
 def _bounded(problem, plant, frequency):
     """Frequencies of bounds on the nominal M, and plants and frequencies of the cuts."""
-    summed, radius = problem.objective.summed, problem.radius
+    summed = problem.objective.summed
     of_M = (problem.Q != 0) | summed  # elsewhere L alone is bounded
     # the bound within the radius implies the nominal one
-    within = np.zeros(len(of_M), bool) if radius is None else of_M & (radius > 0)
+    within = of_M & (problem.response.radii > 0)
     nominal, within = np.flatnonzero(of_M & (summed | ~within)), np.flatnonzero(within)
     return nominal, np.append(0 * within, plant), np.append(within, frequency)

@@ -110,7 +110,7 @@ def test_next_to_zero_the_gap_is_relative_to_a_hundredth_of_the_idle(good):
 def test_learning_that_does_nothing_is_named():
     problem = posed(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((64, 2, 2))
-    nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, 0)
+    nothing = Solution(np.zeros((2, 2, 10)), none, none, 1)
     [found] = certify(problem, problem, nothing).warnings
     assert (found.code, found.value) == ("idle", 1)
 

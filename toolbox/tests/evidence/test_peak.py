@@ -74,7 +74,7 @@ def test_a_rate_within_a_radius_holds_for_plants_within_it_down_to_rest():
 def test_the_worst_of_the_region_is_reached_by_one_of_its_plants():
     design = synthesise(table(4.0), Q)
     peak, response = design.certificate.peaks[BELOW], design.problem.response
-    region = response.below(0, np.array([peak.omega]))
+    region = response.samples[0].below(np.array([peak.omega]))
     L = design.filter.frequency_response([peak.omega])[0, 0, 0]
     deltas = region.moves * region.W[0, 0] * np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
     M = Q.frequency_response([peak.omega]) * np.abs(1 - (region.P[0, 0, 0] + deltas) * L)

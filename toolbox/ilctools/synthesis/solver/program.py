@@ -28,7 +28,6 @@ class Optimum:
     x: np.ndarray
     multipliers: list[np.ndarray]  # of G in each bound
     largest: float  # of all bounds with the first limit
-    iterations: int
 
 
 class Infeasible(RuntimeError):
