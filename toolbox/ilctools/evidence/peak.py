@@ -83,7 +83,7 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
 
     if lowest <= 0:
         return proven_peak(sigma, L.poles, L.Ts)
-    grid = phase_grid([L.poles], max(FINE, float(phase(L.poles, np.array([np.pi]))[0]) / MOST))
+    grid = phase_grid([L.poles], FINE, MOST)
     omega = np.append(lowest, grid[grid > lowest * L.Ts] / L.Ts)
     values = sigma(omega)
     if len(crests := tops(omega, values, NEAR * values.max())):

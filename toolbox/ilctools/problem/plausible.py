@@ -39,7 +39,7 @@ def doubts(response: Response) -> list[Finding]:
     if response.one_at_first:
         apart = np.linalg.norm(P[0] - np.eye(len(P[0])), 2) - response.radii[0]
         return [Finding("rest", apart, 1 - FAR, at_first)] if apart > 1 - FAR else []
-    if response.models[0] is not None or response.measured:
+    if response.models[0] is not None or response.low is not None:
         return []
     found = []
     if np.any(np.abs(np.diagonal(P[0]) + 1) < FAR):

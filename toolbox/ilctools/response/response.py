@@ -32,7 +32,6 @@ class Response:
     scale: np.ndarray  # (m,): what counts as equally large in each channel
     signals: Signals  # of the nominal plant
     assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
-    measured: bool = False  # whether the nominal P is an estimate, which knows its own frequencies
     one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
     low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
 

@@ -69,7 +69,10 @@ class Samples:
 
     @cached_property
     def _over(self):
-        return axis_of(self.omega, self.P)
+        """That of omega and log omega over which splines miss less; by how much, (n,)."""
+        axes = (np.asarray, np.log) if self.omega[0] > 0 else (np.asarray,)
+        each = ((axis, missed(axis(self.omega), self.P)) for axis in axes)
+        return min(each, key=lambda pair: pair[1].max())
 
     @property
     def axis(self):
@@ -157,15 +160,6 @@ class Samples:
 
     def _place(self, omega):
         return self.axis(np.clip(omega, *self.omega[[0, -1]]))
-
-
-def axis_of(omega, P):
-    """That of omega and log omega over which splines miss every other sample by less; by how much.
-
-    The latter is (n,).
-    """
-    axes = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
-    return min(((axis, missed(axis(omega), P)) for axis in axes), key=lambda pair: pair[1].max())
 
 
 def missed(x, P) -> np.ndarray:

@@ -25,6 +25,7 @@ without them.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import label
 
 from ilctools.base import quadratic_law
 from ilctools.problem.defaults import STATIC, at_rest
@@ -77,8 +78,7 @@ class _Least(NamedTuple):
 def reached(response: Response, M_max: float) -> Cutoff:
     """The cut-off up to which P reaches and its plants agree, and what decided it."""
     limits = _limits(response, SHARE * M_max)
-    nothing = np.zeros(len(limits.omega), dtype=bool)
-    least = _least(limits, nothing)
+    least = _least(limits, left_out=False)
     if least.index is None:
         return Cutoff(least.omega, "the highest at which P is known well enough")
     if limits.weak[least.index] == least.omega:
@@ -87,7 +87,8 @@ def reached(response: Response, M_max: float) -> Cutoff:
         reason, what = "by how far P is known", "the radius of P"
     else:
         reason, what = "by how far the plants agree", "that the plants differ"
-    run = _run(least.among, least.index)
+    rows, _ = label(least.among)
+    run = rows == rows[least.index]  # the neighbours in a row
     without = _least(limits, run).omega
     if np.flatnonzero(run)[-1] >= least.last or without < NAMED * least.omega:
         return Cutoff(least.omega, reason)
@@ -115,7 +116,7 @@ def _limits(response, M_max):
 
 
 def _least(limits, left_out) -> _Least:
-    """The least limit, without some of the frequencies, (n,) bool."""
+    """The least limit, without some of the frequencies, (n,) bool, or with all."""
     weak, apart = (np.where(left_out, np.inf, each) for each in (limits.weak, limits.apart))
     asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE
     last = np.sum(asked & (limits.omega * limits.Ts < HIGH)) - 1
@@ -124,16 +125,6 @@ def _least(limits, left_out) -> _Least:
         if each.min() < least.omega:
             least = _Least(float(each.min()), each.argmin(), np.isfinite(each), end)
     return least
-
-
-def _run(among, index):
-    """The neighbours in a row, (n,) bool, to which a frequency belongs."""
-    others = np.flatnonzero(~among)
-    first = others[others < index].max(initial=-1) + 1
-    end = others[others > index].min(initial=len(among))
-    run = np.zeros(len(among), dtype=bool)
-    run[first:end] = True
-    return run
 
 
 def _span(omega):

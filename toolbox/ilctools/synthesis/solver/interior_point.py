@@ -170,10 +170,10 @@ class Newton:
         self.p, self.slacks = p, [Slack(*S) for S in p.S]
         self.system = NewtonSystem(p.program, self.slacks, p.Y, p.eta / p.room)
 
-    def products(self, Y, dS):
-        """herm(Y dS X)."""
-        triples = zip(self.slacks, Y, dS, strict=True)
-        return [slack.sandwich(Y_j, *dS_j) for slack, Y_j, dS_j in triples]
+    def less_product(self, d, Y, dS):
+        """A direction, from whose dY herm(Y dS X) is subtracted."""
+        columns = zip(d.Y, self.slacks, Y, dS, strict=True)
+        return replace(d, Y=[dY - slack.sandwich(Y_j, *dS_j) for dY, slack, Y_j, dS_j in columns])
 
     def without_unknowns(self, mu, predictor):
         """(5) for dx = dt = dd = 0: dY, deta, and the way of the limits."""
@@ -184,22 +184,20 @@ class Newton:
         zeros = [0 * d for d in p.d], [0 * G for G in p.G]
         d = Point(p.program, 0 * p.x, 0 * p.t, toward, *zeros, dY, eta)
         if toward.any():
-            d = self._less(d, self.products(p.Y, d.S))
+            d = self.less_product(d, p.Y, d.S)
         if predictor is not None:
-            d = self._less(d, self.products(predictor.Y, predictor.S))
+            d = self.less_product(d, predictor.Y, predictor.S)
             d = replace(d, eta=d.eta - predictor.eta * predictor.room / p.room)
         return d
-
-    def _less(self, d, products):
-        return replace(d, Y=[A - B for A, B in zip(d.Y, products, strict=True)])
 
     def correction(self, multipliers):
         """The direction that makes multipliers stationary, (2), as far as rounding lets it."""
         p = self.p
         dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
         dG, deta = p.program.linear(dx), p.eta / p.room * dt
-        change = Point(p.program, dx, dt, 0 * p.limits, dd, dG, [], deta)
-        return replace(change, Y=[-A for A in self.products(p.Y, change.S)])
+        dY = [0 * Y for Y in p.Y]
+        change = Point(p.program, dx, dt, 0 * p.limits, dd, dG, dY, deta)
+        return self.less_product(change, p.Y, change.S)
 
     def direction(self, mu, predictor=None, tolerance=None):
         """The direction to (4); None if rounding keeps (2) from holding within a tolerance.
