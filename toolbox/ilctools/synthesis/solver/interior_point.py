@@ -135,9 +135,9 @@ class Point:
     def stationarity(self):
         """sum <dS/dx, Y> of (2)."""
         program, of_L = self.program, []
-        for j, Y in enumerate(self.Y):
-            p = len(program.bounds[j].F)
-            of_L.append(program.of_entries(j, 2 * Y[p:, :p]))
+        for bound, Y in zip(program.bounds, self.Y, strict=True):
+            p = len(bound.F)
+            of_L.append(program.of_entries(bound, 2 * Y[p:, :p]))
         return program.onto_x(of_L)
 
     @property
