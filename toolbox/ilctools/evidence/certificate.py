@@ -68,11 +68,6 @@ class Certificate:
         """Peak of sigma_max(M) on the grid, the largest of all plants within the radius."""
         return self.peaks["on the grid"].sigma
 
-    @property
-    def grid_L(self) -> float:
-        """Peak of sigma_max(L) on the grid."""
-        return float(self.sigma_L.max())
-
     def on_grid(self, claim: Claim) -> float:
         """The largest value on the grid of what a claim is about."""
         if claim.matrix == "M":
@@ -88,8 +83,10 @@ class Certificate:
     @property
     def peak(self) -> Peak:
         """The highest over all frequencies at which P is known."""
-        known = [peak for how, peak in self.peaks.items() if how not in ("assumed", BELOW)]
-        return highest(known)
+        return self._highest_without("assumed", BELOW)
+
+    def _highest_without(self, *ways):
+        return highest([peak for how, peak in self.peaks.items() if how not in ways])
 
     @property
     def all_M(self) -> float:
@@ -109,7 +106,7 @@ class Certificate:
     @property
     def highest_peak(self) -> Peak:
         """The highest of all that is proven, estimated or assumed, whatever the place."""
-        return highest([*self.peaks.values()])
+        return self._highest_without()
 
     @property
     def rate(self) -> float:
@@ -208,7 +205,7 @@ class Certificate:
         units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and np.all(problem.scale == 1):
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
-        found += self._doubts
+        found += doubts(response)
         if response.models[0] is None and response.low is None:  # else signals say what leads
             ahead = lead(response.P[0], response.omega, response.Ts)
             found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
@@ -222,10 +219,6 @@ class Certificate:
         if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
             found.append(Finding(code, peak.sigma, known, self.place(peak)))
         return found
-
-    @cached_property
-    def _doubts(self) -> list[Finding]:
-        return doubts(self.problem.response)
 
     def place(self, peak):
         """Where a peak is, and of which plant."""
@@ -267,7 +260,7 @@ class Certificate:
     @property
     def rate_above(self) -> float:
         """The rate without what is assumed below the first sample."""
-        return highest([peak for how, peak in self.peaks.items() if how != BELOW]).sigma
+        return self._highest_without(BELOW).sigma
 
 
 def check(
@@ -279,8 +272,7 @@ def check(
     """
     grid = grid or problem
     response, worst = L.frequency_response(grid.omega), worst_case(grid, L)
-    (plant, at), *_ = worst.tied
-    on_grid = Peak(worst.sigma.max(), grid.omega[at], plant)
+    on_grid = Peak(worst.sigma.max(), grid.omega[worst.frequency], worst.plant)
     return Certificate(
         problem,
         grid,

@@ -50,16 +50,16 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
 
 def _parts(problem, U, V, cuts):
     """F, T and N of each G = F + T L, T for what K makes, and the frequencies, by number."""
-    by_K, every = problem.through_base, np.arange(len(problem.omega))
+    every = np.arange(len(problem.omega))
     F, T = problem.affine(0, every, None)
-    parts = [(F, by_K(T, every), U, every)]
+    parts = [(F, T, U, every)]
     if V is not None:  # in units of the bound: the size of the objective
         W = problem.L_bound
         parts.append((0 * W, W, np.linalg.solve(W, V), every))
     if cuts is not None:
         F, T = problem.affine(cuts.plant, cuts.frequency, problem.radius)
         nonzero = (np.abs(T) + np.abs(F)).max(axis=2, keepdims=True) > 0
-        parts.append((F, by_K(T, cuts.frequency), cuts.N * nonzero, cuts.frequency))
+        parts.append((F, T, cuts.N * nonzero, cuts.frequency))
     return parts
 
 

@@ -83,7 +83,7 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
 
     if lowest <= 0:
         return proven_peak(sigma, L.poles, L.Ts)
-    grid = phase_grid([L.poles], max(FINE, float(phase(L.poles, np.array([np.pi]))[0]) / MOST))
+    grid = phase_grid([L.poles], FINE, MOST)
     omega = np.append(lowest, grid[grid > lowest * L.Ts] / L.Ts)
     values = sigma(omega)
     if len(crests := tops(omega, values, NEAR * values.max())):
@@ -169,7 +169,7 @@ def estimated_peaks(problem: Problem, L, level, k):
         of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
         sigma = within_radius(P, Q, of_L, radius, level)
         if (low := response.unsampled(k, omega)).any():
-            region, Q, of_L = response.below(k, omega[low]), Q[low], of_L[low]
+            region, Q, of_L = response.samples[k].below(omega[low]), Q[low], of_L[low]
             moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
             sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
         return sigma
@@ -206,20 +206,21 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
 
     Of samples up to the Nyquist frequency, see :mod:`.response.response`.
     """
-    model, (first, *_, last) = response.models[number], response.omega
-    further = phase_grid([L.poles], np.pi / DENSER)
+    model, (low, *_, high) = response.models[number], response.omega
+    grids = [
+        subdivided(response.omega, DENSER),
+        phase_grid([L.poles], np.pi / DENSER) / response.Ts,
+    ]
     if model is not None:
-        further = np.append(further, phase_grid([model.poles()], np.pi / (2 * DENSER)))
-    further = further / response.Ts
-    if model is not None or response.beyond is None:
-        further = further[further < last]
+        grids.append(phase_grid([model.poles()], np.pi / (2 * DENSER)) / response.Ts)
     else:
-        further = np.append(further, np.nextafter(last, np.inf))
-    known = subdivided(response.omega, DENSER)
-    if model is None and first > 0:
-        known = np.concatenate([np.linspace(0, np.nextafter(first, 0), 1 + DENSER), known])
-        return np.union1d(known, further)
-    return np.union1d(known, further[further > first])
+        grids.append(np.linspace(0, np.nextafter(low, 0), 1 + DENSER))
+        low = 0
+        if response.beyond is not None:
+            grids.append([np.nextafter(high, np.inf)])
+            high = np.inf
+    omega = np.unique(np.concatenate(grids))
+    return omega[(omega >= low) & (omega <= high)]
 
 
 def highest(peaks: list[Peak]) -> Peak:

@@ -26,7 +26,8 @@ class WorstCase:
     """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
     sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta
-    tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the peak
+    frequency: int  # index of that of the peak, and the plant whose it is; the first of the tied
+    plant: int
 
 
 def worst_case(problem: Problem, L: Filter) -> WorstCase:
@@ -72,11 +73,14 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-    radius = 0 if problem.radius is None else problem.radius
-    sigma = np.array([within_radius(P, problem.Q, response, radius, 0) for P in problem.plants])
-    ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
-    pairs = tuple((plant, frequency) for frequency, plant in ties)
-    return WorstCase(sigma.max(axis=0), pairs)
+    sigma = np.array([worst_sigma(problem, response, k, 0) for k in range(len(problem.plants))])
+    first, *_ = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
+    return WorstCase(sigma.max(axis=0), *first)
+
+
+def worst_sigma(problem, L, k, level):
+    """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
+    return within_radius(problem.plants[k], problem.Q, L, problem.response.radii, level)
 
 
 def within_radius(P, Q, L, radius, level):

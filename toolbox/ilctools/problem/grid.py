@@ -81,8 +81,7 @@ def _dense(problem) -> Dense:
         of_P = [model.poles() for model in problem.response.models if model is not None]
         systems = [np.concatenate([poles, of_L, lowpass.poles]) for poles in of_P] or systems
         step = PROVEN if problem.proven else ESTIMATED
-    turn = max(float(phase(poles, np.array([np.pi]))[0]) for poles in systems)
-    theta = phase_grid(systems, max(step, turn / MOST))
+    theta = phase_grid(systems, step, MOST)
     h = np.max([np.diff(phase(poles, theta)).max() for poles in systems])
     return Dense(theta, np.cos(h / 2))
 
@@ -90,12 +89,18 @@ def _dense(problem) -> Dense:
 def _between(problem, omega):
     """P, Q and the radius between the frequencies; Q is zero where L alone is bounded."""
     response = problem.response
-    known = [response.anywhere(k, omega) for k in range(len(response.models))]
-    P, radius = np.array([P for P, _ in known]), np.max([radius for _, radius in known], axis=0)
+    P, radius = _known(response, omega)
     inside = (omega >= response.omega[0]) & (omega <= response.omega[-1])
     bounded = problem.bounds.everywhere & (inside | (not response.sampled))
     Q = problem.lowpass.frequency_response(omega)
-    return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
+    return P, np.where(bounded, Q, 0), np.where(bounded, radius.max(axis=0), 0)
+
+
+def _known(response, omega):
+    """P, (p, k, m, m), and the radius, (p, k), of all plants."""
+    plants = range(len(response.models))
+    P, radius = zip(*(response.anywhere(plant, omega) for plant in plants), strict=True)
+    return np.array(P), np.array(radius)
 
 
 def _above(problem, omega, M_max, shrink):
@@ -104,12 +109,11 @@ def _above(problem, omega, M_max, shrink):
     # M must keep its bound between these, too: Q falls, and L is larger by 1 / shrink
     before = np.append(response.omega[-1], omega[:-1])
     Q = np.abs(problem.lowpass.frequency_response(before))
-    models = [k for k, model in enumerate(response.models) if model is not None]
-    sizes = [largest_singular_values(response.anywhere(k, omega)[0]) for k in models]
-    radius = np.max([response.beyond + 0 * omega, *sizes], axis=0) / shrink
+    P, radius = _known(response, omega)
+    sizes = np.array([largest_singular_values(of_one) for of_one in P])
+    radius = (sizes + radius).max(axis=0) / shrink
     bounded = M_max > Q  # else no filter does: see `findings`
-    P = np.zeros((len(response.P), len(omega), *response.P.shape[2:]))
-    return P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
+    return 0 * P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
 
 
 def _joined(problem, omega, P, Q, radius):
@@ -120,8 +124,7 @@ def _joined(problem, omega, P, Q, radius):
     def extended(own, further, axis=0):
         return np.concatenate([own, further], axis).take(order, axis)
 
-    zero = np.zeros(len(problem.omega))
-    radius = extended(zero if response.radius is None else response.radius, radius)
+    radius = extended(response.radii, radius)
     response = replace(
         response,
         omega=extended(response.omega, omega),

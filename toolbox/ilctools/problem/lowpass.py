@@ -28,7 +28,7 @@ class SampledQ:
 
     def frequency_response(self, omega) -> np.ndarray:
         """Q at some frequencies, (k,)."""
-        return self._as_response.at(omega)[0][:, 0, 0]
+        return self._as_response.at(np.maximum(omega, self.omega[0]))[0][:, 0, 0]
 
     @cached_property
     def _as_response(self):

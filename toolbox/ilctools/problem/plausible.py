@@ -37,10 +37,9 @@ def doubts(response: Response) -> list[Finding]:
     P, omega = response.P[0], response.omega
     at_first = f"at {omega[0]:.4g} rad/s"
     if response.one_at_first:
-        radius = 0 if response.radius is None else response.radius[0]
-        apart = np.linalg.norm(P[0] - np.eye(len(P[0])), 2) - radius
+        apart = np.linalg.norm(P[0] - np.eye(len(P[0])), 2) - response.radii[0]
         return [Finding("rest", apart, 1 - FAR, at_first)] if apart > 1 - FAR else []
-    if response.models[0] is not None or response.measured:
+    if response.models[0] is not None or response.low is not None:
         return []
     found = []
     if np.any(np.abs(np.diagonal(P[0]) + 1) < FAR):

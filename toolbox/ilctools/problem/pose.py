@@ -1,7 +1,5 @@
 """Stating a problem, each argument checked."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from ilctools import arguments
@@ -49,8 +47,8 @@ def pose(
     order = _order(response, cutoff, order, base, chosen)
     Q = lowpass.frequency_response(response.omega)
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
-    L_high = _bound_from(L_high, response)
-    bounds = replace(_bounds(M_max, L_max, everywhere, gain, pooled, chosen), L_high=L_high)
+    L_high, everywhere = _bound_from(L_high, response), arguments.flag("everywhere", everywhere)
+    bounds = Bounds(M_max, _L_max(L_max, gain, pooled, chosen), L_high, everywhere)
     if base is not None:
         base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
@@ -174,15 +172,13 @@ def _of_band(omega, cutoff, band, summed, chosen):
     return band, inside.astype(float)
 
 
-def _bounds(M_max, L_max, everywhere, gain, close, chosen):
-    """The bounds on sigma_max(M) and on sigma_max(L), which may be None."""
+def _L_max(L_max, gain, close, chosen):
+    """The bound on sigma_max(L), which may be None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
-    if L_max is not None:
-        what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
-        L_max = arguments.positive("L_max", L_max, what)
-    return Bounds(M_max, L_max, everywhere=arguments.flag("everywhere", everywhere))
+    what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
+    return None if L_max is None else arguments.positive("L_max", L_max, what)
 
 
 def _bound_from(L_high, response):
@@ -203,8 +199,7 @@ def _gain(response, lowpass, M_max, pooled):
     """The default bound on L; `pooled` says that it decides b of L = B."""
     omega, cutoff = response.omega, lowpass.cutoff
     # What is not known beyond its radius is not worth inverting.
-    radius = 0 if response.radius is None else response.radius
-    smallest = np.maximum(_smallest_singular_values(response, cutoff), radius)
+    smallest = np.maximum(_smallest_singular_values(response, cutoff), response.radii)
     if not pooled:
         return defaults.gain(cutoff, smallest, omega)
     Q = np.abs(lowpass.frequency_response(omega))

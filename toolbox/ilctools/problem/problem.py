@@ -159,7 +159,7 @@ class Problem:
         return convergence_matrix(self.plants[number], self.Q, L)
 
     def affine(self, plant, at, radius) -> tuple[np.ndarray, np.ndarray]:
-        """F and T of G = F + T L for plants and frequencies, by number, with a radius or None.
+        """F and T of G = F + T K for plants and frequencies, by number, with a radius or None.
 
         G is M = Q I - Q P L, or with a radius [M; |Q| r L], see :class:`Cuts`.
         """
@@ -167,9 +167,9 @@ class Problem:
         T = -Q * self.plants[plant, at]
         if radius is not None:
             T = np.concatenate([T, np.abs(Q) * radius[at, None, None] * identity], axis=1)
-        return Q * np.eye(T.shape[1], self.channels), T
+        return Q * np.eye(T.shape[1], self.channels), self.through_base(T, at)
 
-    @property
+    @cached_property
     def L_bound(self) -> np.ndarray:
         """W, shape (n, m, m): sigma_max(W L) <= 1 is all bounds on L; or W K those on K.
 
@@ -182,7 +182,8 @@ class Problem:
             bounds = replace(bounds, L_high=None)
         limit = bounds.limit_on_L(self.omega)
         if self.base is not None:  # sigma_max(B K) <= sigma_max(B) sigma_max(K)
-            return np.maximum(self.sigma_B / limit, 1 / K_MAX)[:, None, None] * identity
+            sigma_B = largest_singular_values(self.of_K)
+            return np.maximum(sigma_B / limit, 1 / K_MAX)[:, None, None] * identity
         W = identity / limit[:, None, None]
         if np.isinf(limit).any():
             gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
@@ -209,11 +210,6 @@ class Problem:
             return None
         shift = np.exp(1j * (self.first - 1) * self.omega * self.Ts)
         return self.base.frequency_response(self.omega) * shift[:, None, None]
-
-    @cached_property
-    def sigma_B(self) -> np.ndarray:
-        """sigma_max(B) at omega, (n,)."""
-        return largest_singular_values(self.of_K)
 
     def through_base(self, T, at):
         """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega."""
@@ -285,7 +281,6 @@ class Solution:
     U: np.ndarray
     V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain
-    iterations: int
     cuts: Cuts | None = None  # what was needed of them
 
 

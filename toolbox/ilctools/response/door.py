@@ -1,9 +1,9 @@
 """The door: plants in whatever form they are known become one Response."""
 
 import reprlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import control
 import numpy as np
@@ -33,57 +33,37 @@ class Accuracy(NamedTuple):
 
 
 def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
-    """What is known of P, which must match Q, if there is one; arguments of `synthesise`."""
-    return admitted(P, Ts, uncertainty, scale, Q).on(omega, Q)
+    """What is known of P, which must match Q, if there is one; arguments of `synthesise`.
 
-
-@dataclass(frozen=True)
-class Admitted:
-    """Plants that have passed the door, to be asked at any frequencies."""
-
-    P: Any  # as it was passed
-    plants: dict[str, Any]  # by their names in messages, the nominal one first
-    Ts: float  # sampling period, s
-    uncertainty: Any = None
-    scale: Any = None
-
-    def on(self, omega=None, Q=None) -> Response:
-        """What is known of them at omega; by default, at frequencies that suit Q."""
-        Ts = self.Ts
-        plants, uncertainty, omega = _on_omega(self.plants, self.uncertainty, omega, Ts, Q)
-        models, responses = _responses(plants, omega, Ts)
-        signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
-        check_match(**signals, Q=Q, grid=Signals(Ts))
-        of_table = omega, responses[0]
-        if isinstance(self.P, Measured):
-            of_table = self.P.omega, self.P.response
-        _refuse_other_units(*of_table, Ts)
-        nominal, *_ = signals.values()
-        m = responses.shape[-1]
-        scale = arguments.by_channel("scale", self.scale, (nominal.labels or range(m))[:m])
-        models, responses, units = _in_units(scale, models, responses)
-        known = _accuracy(self.P, responses[0], omega, uncertainty, scale)
-        return Response(
-            omega=omega,
-            P=responses,
-            Ts=Ts,
-            models=tuple(models),
-            radius=known.radius if np.any(known.radius) else None,
-            scale=units,
-            signals=nominal,
-            assumptions=known.assumptions,
-            measured=isinstance(self.P, Measured) and self.P.estimated,
-            one_at_first=_is_one(getattr(self.P, "loop", None), omega[:1]),
-            low=known.low,
-        )
-
-
-def admitted(P, Ts=None, uncertainty=None, scale=None, Q=None) -> Admitted:
-    """Plants in whatever form they are known, with their sampling period, or Q's."""
+    The sampling period is that of Q or P; without omega, frequencies are chosen that suit Q.
+    """
     plants = named(P)
     _refuse_no_filter(Q)
     Ts = _period(Q, *plants.values()) if Ts is None else Ts
-    return Admitted(P, plants, arguments.sampling_period("Ts", Ts), uncertainty, scale)
+    Ts = arguments.sampling_period("Ts", Ts)
+    plants, uncertainty, omega = _on_omega(plants, uncertainty, omega, Ts, Q)
+    models, responses = _responses(plants, omega, Ts)
+    signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
+    check_match(**signals, Q=Q, grid=Signals(Ts))
+    of_table = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
+    _refuse_other_units(*of_table, Ts)
+    nominal, *_ = signals.values()
+    m = responses.shape[-1]
+    scale = arguments.by_channel("scale", scale, (nominal.labels or range(m))[:m])
+    models, responses, units = _in_units(scale, models, responses)
+    known = _accuracy(P, responses[0], omega, uncertainty, scale)
+    return Response(
+        omega=omega,
+        P=responses,
+        Ts=Ts,
+        models=tuple(models),
+        radius=known.radius if np.any(known.radius) else None,
+        scale=units,
+        signals=nominal,
+        assumptions=known.assumptions,
+        one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
+        low=known.low,
+    )
 
 
 def _refuse_no_filter(Q):
@@ -123,7 +103,7 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
             )
         _, radius = P.on(omega, CONFIDENCE, scale)
         low = None
-        if P.estimated and omega[0] > 0:  # it says more below than a table does
+        if P.estimated:  # it says more below than a table does
             below = np.linspace(0, omega[0], LOW)
             low = Samples(below, *P.on(below, CONFIDENCE, scale))
         return Accuracy(radius, P.basis(omega, CONFIDENCE), low)

@@ -73,11 +73,8 @@ class Measured:
         """As :mod:`.samples` says; above the last line all that is not larger than there."""
         samples = self._samples(confidence)
         P, radius = samples.at(omega)
-        radius = radius + np.where(samples.outside(omega), 2 * largest_singular_values(P), 0)
-        if (below := samples.outside(omega) & (omega < samples.omega[0])).any():
-            region = samples.below(omega[below])
-            P[below], radius[below] = region.P, region.widest
-        return P, radius
+        above = samples.outside(omega) & (omega > samples.omega[-1])
+        return P, radius + np.where(above, 2 * largest_singular_values(P), 0)
 
     def _between(self, omega, confidence):
         """What is assumed there, in words."""

@@ -24,8 +24,12 @@ def phase(poles, theta):
     return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
 
 
-def phase_grid(systems, step) -> np.ndarray:
-    """Angles from 0 to pi, with steps of some `step` in the phase of each set of poles."""
+def phase_grid(systems, step, most=np.inf) -> np.ndarray:
+    """Angles from 0 to pi, with steps of some `step` in the phase of each set of poles.
+
+    Each pole of a real system turns by pi, so that of `most` angles the steps are larger.
+    """
+    step = max(step, np.pi * max(map(len, systems)) / most)
     poles = np.unique(np.concatenate(systems))
     r = np.abs(poles)[:, None]
     turns = np.angle(poles)[:, None] + 2 * np.arctan((1 - r) / (1 + r) * TANGENTS)

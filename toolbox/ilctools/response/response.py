@@ -12,7 +12,7 @@ import control
 import numpy as np
 
 from ilctools.models import frequency_response
-from ilctools.response.samples import Region, Samples
+from ilctools.response.samples import Samples
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
@@ -32,7 +32,6 @@ class Response:
     scale: np.ndarray  # (m,): what counts as equally large in each channel
     signals: Signals  # of the nominal plant
     assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
-    measured: bool = False  # whether the nominal P is an estimate, which knows its own frequencies
     one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
     low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
 
@@ -46,14 +45,19 @@ class Response:
         """omega Ts, (n,)."""
         return self.omega * self.Ts
 
+    @property
+    def radii(self) -> np.ndarray:
+        """The radius at each frequency, zero where P is known, (n,)."""
+        return np.zeros(len(self.omega)) if self.radius is None else self.radius
+
     def at(self, chosen) -> "Response":
         """At some of the frequencies, (n,) bool."""
-        radius = None if self.radius is None else self.radius[chosen]
+        radius = self.radii[chosen]
         return replace(
             self,
             omega=self.omega[chosen],
             P=self.P[:, chosen],
-            radius=radius if np.any(radius) else None,
+            radius=radius if radius.any() else None,
         )
 
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
@@ -64,9 +68,6 @@ class Response:
         omega, model, samples = np.asarray(omega), self.models[plant], self.samples[plant]
         if model is None:
             P, radius = samples.at(omega)
-            if (below := self.unsampled(plant, omega)).any():
-                region = self.below(plant, omega[below])
-                P[below], radius[below] = region.P, region.widest
             if self.beyond is not None:
                 unknown = omega > self.omega[-1]
                 P[unknown], radius[unknown] = 0, self.beyond
@@ -80,27 +81,13 @@ class Response:
         """Which frequencies are below the first sample of a plant, (k,), bool."""
         return (self.models[plant] is None) & (np.asarray(omega) < self.omega[0])
 
-    def below(self, plant: int, omega) -> Region:
-        """What is known or assumed of a plant below its first sample."""
-        if self.low is None:
-            return self.samples[plant].below(omega)
-        P, radius = self.low.at(omega)
-        return Region(P, np.eye(P.shape[-1]), 0.0, radius)
-
     @property
     def below_in_words(self) -> str | None:
         """What is assumed below the first sample; None if P is known there."""
-        first = self.omega[0]
-        if not self.sampled or first <= 0:
+        if not self.sampled or self.omega[0] <= 0:
             return None
-        if self.low is None:
-            sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
-            return max(sampled, key=lambda samples: samples.moves).below_in_words
-        radius = self.low.at(np.linspace(0, first, LOW))[1].max()
-        return (
-            f"assumed: below {first:.4g} rad/s P is what the measured response says at rest and "
-            f"up to there, within {radius:.2g}"
-        )
+        sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
+        return max(sampled, key=lambda samples: samples.moves).below_in_words
 
     @property
     def beyond(self) -> float | None:
@@ -108,14 +95,12 @@ class Response:
         if not self.sampled or self.angles[-1] >= np.pi - ROUNDING:
             return None
         samples = self.P[[model is None for model in self.models], -1]
-        size = largest_singular_values(samples).max()
-        return float(size if self.radius is None else size + self.radius[-1])
+        return float(largest_singular_values(samples).max() + self.radii[-1])
 
     @cached_property
     def samples(self) -> list[Samples]:
         """Of each plant."""
-        radius = np.zeros(len(self.omega)) if self.radius is None else self.radius
-        return [Samples(self.omega, P, radius) for P in self.P]
+        return [Samples(self.omega, P, self.radii, self.low) for P in self.P]
 
     @property
     def assumed(self) -> tuple[str, ...]:

@@ -65,10 +65,14 @@ class Samples:
     omega: np.ndarray  # (n,), rad/s
     P: np.ndarray  # (n, p, m), complex
     radius: np.ndarray  # (n,)
+    low: "Samples | None" = None  # from zero to the first frequency, of what is measured there
 
     @cached_property
     def _over(self):
-        return axis_of(self.omega, self.P)
+        """That of omega and log omega over which splines miss less; by how much, (n,)."""
+        axes = (np.asarray, np.log) if self.omega[0] > 0 else (np.asarray,)
+        each = ((axis, missed(axis(self.omega), self.P)) for axis in axes)
+        return min(each, key=lambda pair: pair[1].max())
 
     @property
     def axis(self):
@@ -85,12 +89,16 @@ class Samples:
         return np.interp(self._place(omega), self.axis(self.omega), self.radius)
 
     def at(self, omega) -> tuple[np.ndarray, np.ndarray]:
-        """P (k, p, m), and the radius (k,) with what splines may miss; beyond the ends as there."""
+        """P (k, p, m), and the radius (k,) with what splines may miss; above the last as there."""
         known, place = self.axis(self.omega), self._place(omega)
         after = np.searchsorted(known, place).clip(1, len(known) - 1)
         t = (place - known[after - 1]) / (known[after] - known[after - 1])
         more = 4 * t * (1 - t) * np.maximum(self.missed[after - 1], self.missed[after])
-        return CubicSpline(known, self.P)(place), self.radius_at(omega) + more
+        P, radius = CubicSpline(known, self.P)(place), self.radius_at(omega) + more
+        if (below := self.outside(omega) & (omega < self.omega[0])).any():
+            region = self.below(omega[below])
+            P[below], radius[below] = region.P, region.widest
+        return P, radius
 
     @cached_property
     def moves(self) -> float:
@@ -116,6 +124,11 @@ class Samples:
     def below_in_words(self) -> str:
         """What is assumed below the first sample."""
         first = f"{self.omega[0]:.4g} rad/s"
+        if self.low is not None:
+            return (
+                f"assumed: below {first} P is what the measured response says at rest and up to "
+                f"there, within {self.low.at(self.low.omega)[1].max():.2g}"
+            )
         if self.known_below:
             beside = ", beside its radius" if self.radius[0] else ""
             return (
@@ -129,6 +142,9 @@ class Samples:
 
     def below(self, omega) -> Region:
         """What is assumed below the first sample, at some frequencies (k,)."""
+        if self.low is not None:
+            P, radius = self.low.at(omega)
+            return Region(P, np.eye(P.shape[-1]), 0.0, radius)
         real, imag = self.P[0].real, self.P[0].imag
         P = real + 1j * imag * (omega / self.omega[0])[:, None, None]
         radius = np.full(len(omega), self.radius[0])
@@ -144,15 +160,6 @@ class Samples:
 
     def _place(self, omega):
         return self.axis(np.clip(omega, *self.omega[[0, -1]]))
-
-
-def axis_of(omega, P):
-    """That of omega and log omega over which splines miss every other sample by less; by how much.
-
-    The latter is (n,).
-    """
-    axes = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
-    return min(((axis, missed(axis(omega), P)) for axis in axes), key=lambda pair: pair[1].max())
 
 
 def missed(x, P) -> np.ndarray:

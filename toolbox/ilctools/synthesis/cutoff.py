@@ -25,6 +25,7 @@ without them.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import label
 
 from ilctools.base import quadratic_law
 from ilctools.problem.defaults import STATIC, at_rest
@@ -36,6 +37,7 @@ REACHED = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/perf
 SHARE = 0.9  # of M_max that may be used up by what the plants differ
 INSIDE = 0.5  # of the last sample, if it is below the Nyquist frequency: |Q| is 0.06 there
 HIGHEST = 0.9  # of the Nyquist frequency
+HIGH = 3  # rad, of omega Ts: an angle from which on it is as good as the Nyquist frequency's, pi
 NAMED = 1.1  # a range of frequencies is named if the cut-off were this many times as high without
 COSTLY = 2.0  # and a warning tells of it from this factor on
 
@@ -55,12 +57,12 @@ class Cutoff(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """What limits the cut-off, frequency by frequency."""
+    """The cut-off that each frequency admits, (n,), rad/s; infinite if it is no limit."""
 
     omega: np.ndarray  # (n,), rad/s
     Ts: float  # s
-    weak: np.ndarray  # (n,), bool: P is below REACHED sigma_0
-    apart: np.ndarray  # (n,): d, in units of what M_max admits
+    weak: np.ndarray  # that frequency, where P is below REACHED sigma_0
+    apart: np.ndarray  # where |Q| d is what M_max admits
     highest: float  # rad/s, as P is known no further
 
 
@@ -76,18 +78,17 @@ class _Least(NamedTuple):
 def reached(response: Response, M_max: float) -> Cutoff:
     """The cut-off up to which P reaches and its plants agree, and what decided it."""
     limits = _limits(response, SHARE * M_max)
-    nothing = np.zeros(len(limits.omega), dtype=bool)
-    least = _least(limits, nothing)
+    least = _least(limits, left_out=False)
     if least.index is None:
         return Cutoff(least.omega, "the highest at which P is known well enough")
-    weak = bool(limits.weak[least.index] and limits.omega[least.index] == least.omega)
-    if weak:
+    if limits.weak[least.index] == least.omega:
         reason, what = "by how far P reaches", "that P passes little"
     elif response.radius is not None:
         reason, what = "by how far P is known", "the radius of P"
     else:
         reason, what = "by how far the plants agree", "that the plants differ"
-    run = _run(least.among, least.index)
+    rows, _ = label(least.among)
+    run = rows == rows[least.index]  # the neighbours in a row
     without = _least(limits, run).omega
     if np.flatnonzero(run)[-1] >= least.last or without < NAMED * least.omega:
         return Cutoff(least.omega, reason)
@@ -101,45 +102,29 @@ def _limits(response, M_max):
     rest = at_rest(values) or values.max()
     weak, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
     weak[:start] = False  # P passes nothing at rest
-    highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > 3 else INSIDE * omega[-1]
+    highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > HIGH else INSIDE * omega[-1]
 
-    r = 0 if response.radius is None else response.radius[:, None, None]
     B = quadratic_law(P, b=rest / (2 * STATIC))
     d = np.max([*map(largest_singular_values, np.eye(P.shape[-1]) - P @ B)], axis=0)
-    apart = (d + largest_singular_values(r * B)) / M_max
+    apart = (d + largest_singular_values(response.radii[:, None, None] * B)) / M_max
     apart[: start + 1] = 0
-    return _Limits(omega, Ts, weak, apart, highest)
+    asked = (apart > 1) & (omega * Ts < HIGH)
+    x = (apart[asked] - 1) ** (1 / (2 * ORDER))
+    apart = np.full(len(omega), np.inf)
+    apart[asked] = 2 / Ts * np.arctan(np.tan(omega[asked] * Ts / 2) / x)
+    return _Limits(omega, Ts, np.where(weak, omega, np.inf), apart, highest)
 
 
 def _least(limits, left_out) -> _Least:
-    """The least limit, without some of the frequencies, (n,) bool."""
-    omega, Ts = limits.omega, limits.Ts
-    least, ends = _Least(limits.highest), limits.highest
-    weak = limits.weak & ~left_out
-    if weak.any():
-        ends = omega[weak][0]
-        if ends < least.omega:
-            least = _Least(float(ends), int(np.argmax(weak)), weak, len(omega) - 1)
-    asked = (omega <= ends / INSIDE) & (omega * Ts < 3)
-    apart = asked & (limits.apart > 1) & ~left_out
-    if apart.any():
-        x = (limits.apart[apart] - 1) ** (1 / (2 * ORDER))
-        each = 2 / Ts * np.arctan(np.tan(omega[apart] * Ts / 2) / x)
+    """The least limit, without some of the frequencies, (n,) bool, or with all."""
+    weak, apart = (np.where(left_out, np.inf, each) for each in (limits.weak, limits.apart))
+    asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE
+    last = np.sum(asked & (limits.omega * limits.Ts < HIGH)) - 1
+    least = _Least(limits.highest)
+    for each, end in ((weak, len(weak) - 1), (np.where(asked, apart, np.inf), last)):
         if each.min() < least.omega:
-            index = np.flatnonzero(apart)[each.argmin()]
-            last = np.flatnonzero(asked)[-1]
-            least = _Least(float(each.min()), int(index), apart, int(last))
+            least = _Least(float(each.min()), each.argmin(), np.isfinite(each), end)
     return least
-
-
-def _run(among, index):
-    """The neighbours in a row, (n,) bool, to which a frequency belongs."""
-    others = np.flatnonzero(~among)
-    first = others[others < index].max(initial=-1) + 1
-    end = others[others > index].min(initial=len(among))
-    run = np.zeros(len(among), dtype=bool)
-    run[first:end] = True
-    return run
 
 
 def _span(omega):

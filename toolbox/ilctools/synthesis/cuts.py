@@ -7,7 +7,7 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 
 import numpy as np
 
-from ilctools.evidence.robustness import within_radius
+from ilctools.evidence.robustness import worst_sigma
 from ilctools.problem.problem import Problem, Solution
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
@@ -45,9 +45,3 @@ def violated(problem, solution, limit, plant, frequency):
         highest[higher], which[higher] = value[higher], k
     frequency = np.flatnonzero(which >= 0)
     return which[frequency], frequency
-
-
-def worst_sigma(problem, L, k, level):
-    """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
-    radius = 0 if problem.radius is None else problem.radius
-    return within_radius(problem.plants[k], problem.Q, L, radius, level)

@@ -1,7 +1,6 @@
 """From the problem to a filter with its certificate: the way through the synthesis."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import checked_M_max, pose, refuse_singular
 from ilctools.problem.problem import Problem, Solution
-from ilctools.response.door import LOWEST, Admitted, admitted
+from ilctools.response.door import LOWEST, response_of
 from ilctools.singular_values import largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.everywhere import solve_everywhere
@@ -197,49 +196,45 @@ def synthesise(
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
-    choices = {
-        "M_max": M_max,
-        "L_max": L_max,
-        "L_high": L_high,
-        "band": band,
-        "reference": reference,
-        "structure": structure,
-        "objective": objective,
-        "everywhere": everywhere,
-        "base": base,
-        "order": order,
-        "reach": reach,
-    }
-    task = Task(admitted(P, Ts, uncertainty, scale, Q), omega, choices)
-    return warned(without_Q(task) if Q is None else designed(task.problem(Q)))
+
+    def known(Q):
+        return response_of(P, omega, Ts, uncertainty, scale, Q)
+
+    def problem(Q):
+        return pose(
+            known(Q),
+            Q,
+            order=order,
+            M_max=M_max,
+            L_max=L_max,
+            L_high=L_high,
+            band=band,
+            reference=reference,
+            structure=structure,
+            objective=objective,
+            everywhere=everywhere,
+            base=base,
+            reach=reach,
+        )
+
+    if Q is None:
+        return warned(without_Q(problem, known(None), M_max))
+    return warned(designed(problem(Q)))
 
 
-class Task(NamedTuple):
-    """All that is asked for, but for Q."""
-
-    plants: Admitted
-    omega: Any  # design frequencies; None: they follow from Q
-    choices: dict  # arguments of `pose`
-
-    def problem(self, Q) -> Problem:
-        """The problem with this Q."""
-        return pose(self.plants.on(self.omega, Q), Q, **self.choices)
-
-
-def without_Q(task: Task) -> Synthesis:
+def without_Q(problem_of, response, M_max) -> Synthesis:
     """The design with the cut-off that P admits; with half of it, if a trial's ends might grow."""
-    response, M_max = task.plants.on(task.omega), checked_M_max(task.choices["M_max"])
     refuse_singular(response)
-    limit, Ts = reached(response, M_max), response.Ts
+    limit, Ts = reached(response, checked_M_max(M_max)), response.Ts
     lowest = max(LOWEST * np.pi / Ts, response.omega[response.omega > 0][0])
 
     def lowpass(cutoff):
         return ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
 
-    first = design = designed(task.problem(lowpass(limit.omega)))
+    first = design = designed(problem_of(lowpass(limit.omega)))
     _, norm = first.certificate.trial
     if norm >= 1:
-        design = designed(task.problem(lowpass(limit.omega / 2)))
+        design = designed(problem_of(lowpass(limit.omega / 2)))
     cutoff = design.Q.cutoff
     text, costs = f"Q with cut-off {cutoff:.4g} rad/s", []
     if norm >= 1:
@@ -261,12 +256,11 @@ def _cost_of_ends(first, half) -> Finding:
     """What the ends of a trial cost where they halve the cut-off, and what would mend them."""
     samples, norm = first.certificate.trial
     _, left = half.certificate.trial
+    remedy = ""
     if found := _rest_that_mends(first):
         rest, mended = found
         Q = f"zero_phase_butterworth({ORDER}, {first.Q.cutoff:.4g}, {first.Q.Ts:g})"
         remedy = f". With {Q} as Q and law(rest={rest}) of that design, the norm is {mended:.2g}"
-    else:
-        remedy = ""
     code, norm = ("ends", left) if left >= 1 else ("halved", norm)
     return Finding(code, norm, half.Q.cutoff, f"of {samples} samples", remedy)
 
@@ -297,7 +291,7 @@ def direct(problem: Problem) -> Synthesis | None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
     zero = np.zeros((len(problem.omega), *one.shape))
-    solution = Solution(one[..., None], zero, zero, largest=np.nan, iterations=0)
+    solution = Solution(one[..., None], zero, zero, largest=np.nan)
     certificate = check(problem, problem.scaled_filter(solution.coefficients))
     beyond = certificate.peaks.get("assumed")
     if certificate.failures or (beyond is not None and beyond.sigma > problem.M_max):

@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import find_peaks
 
+from ilctools.evidence.robustness import worst_sigma
 from ilctools.problem.grid import on_a_grid, part
 from ilctools.problem.problem import Problem, Solution
 from ilctools.singular_values import largest_singular_values
-from ilctools.synthesis.cuts import solve, worst_sigma
+from ilctools.synthesis.cuts import solve
 
 PASSED = 1e-9  # share of a bound that is rounding
 ROUNDS = 50  # at which to give up

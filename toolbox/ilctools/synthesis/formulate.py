@@ -38,19 +38,11 @@ def whitened_basis(problem):
     return np.ascontiguousarray((real + 1j * imag).T / weight), R
 
 
-def entries_of(channels, structure):
-    """Rows and columns of the entries of L that are not zero."""
-    if structure == "full":
-        return np.indices((channels, channels)).reshape(2, -1)
-    return np.arange(channels), np.arange(channels)
-
-
 def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
     """The bound on M, (40), for pairs of a plant and a frequency, or on [M; |Q| r L]."""
     if radius is not None:
         radius = np.maximum(radius, SMALLEST * np.abs(problem.P).max())
     F, T = problem.affine(plant, frequency, radius)
-    T = problem.through_base(T, frequency)
     levels = np.broadcast_to(level, len(frequency))
     return Bound(_long(F), _long(T), frequency, levels, radius is not None)
 
@@ -104,7 +96,7 @@ class Formulation:
         if problem.radius is not None:
             of_cuts = N[1]
         cuts = Cuts(self.plant, self.frequency, of_cuts) if len(self.plant) else None
-        return Solution(C, U, V, optimum.largest, optimum.iterations, cuts)
+        return Solution(C, U, V, optimum.largest, cuts)
 
 
 class Levels(NamedTuple):
@@ -115,7 +107,11 @@ class Levels(NamedTuple):
     M: np.ndarray  # (n,): number of the bound on the nominal M at each frequency
     cuts: int  # on M of other plants, or within a radius
     L: int  # on W L
-    L_beside: int  # on L, beside a gain that is minimised
+
+    @property
+    def one(self) -> int:
+        """Number of the limit 1, the last."""
+        return len(self.cost) + len(self.limits) - 1
 
 
 def levels_of(problem) -> Levels:
@@ -123,20 +119,20 @@ def levels_of(problem) -> Levels:
     n, one_t = len(problem.omega), np.ones(1)
     match problem.objective.kind:
         case "gain":  # minimise t:  W L <= t,  M <= M_max
-            t, _, M_max, one = range(4)
+            t, _, M_max = range(3)
             limits = [GENEROUS, problem.M_max, 1.0]
-            return Levels(one_t, limits, np.full(n, M_max), cuts=M_max, L=t, L_beside=one)
+            return Levels(one_t, limits, np.full(n, M_max), cuts=M_max, L=t)
         case "peak":  # minimise t:  M <= t,  W L <= 1                    (45), (46)
             t, _, one = range(3)
             limits = [GENEROUS * problem.idle, 1.0]
-            return Levels(one_t, limits, np.full(n, t), cuts=t, L=one, L_beside=one)
+            return Levels(one_t, limits, np.full(n, t), cuts=t, L=one)
         case "sum":  # minimise w t:  M_i <= t_i <= M_max,  W L <= 1      (39)
             summed = problem.objective.summed
             cost = problem.objective.weights[summed]
             M_max, one = len(cost), len(cost) + 1
             of_M = np.full(n, M_max)
             of_M[summed] = np.arange(len(cost))
-            return Levels(cost, [problem.M_max, 1.0], of_M, cuts=M_max, L=one, L_beside=one)
+            return Levels(cost, [problem.M_max, 1.0], of_M, cuts=M_max, L=one)
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
@@ -147,12 +143,15 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     M = bound_on_M(problem, 0 * nominal, nominal, None, levels.M[nominal])
     L = bound_on_L(W, every, levels.L)
     at, W_beside = problem.L_bound_beside
-    beside = bound_on_L(_long(W_beside), at, levels.L_beside)
+    beside = bound_on_L(_long(W_beside), at, levels.one)
     cuts = bound_on_M(problem, plant, frequency, radius, levels.cuts)
-    plain = (M, L, beside) if len(at) else (M, L)
-    bounds = (side_by_side(*plain, cuts),) if radius is None else (side_by_side(*plain), cuts)
+    if radius is None:
+        bounds = (side_by_side(M, L, beside, cuts),)
+    else:
+        bounds = side_by_side(M, L, beside), cuts
     basis, R = whitened_basis(problem)
-    rows, cols = entries_of(problem.channels, problem.structure)
+    ones = np.ones((problem.channels, problem.channels))
+    rows, cols = np.nonzero(ones if problem.structure == "full" else np.diag(ones[0]))
     most = GENEROUS if problem.objective.kind == "gain" else problem.M_max
     program = Program(bounds, basis, rows, cols, levels.cost, np.array(levels.limits), most)
     return Formulation(problem, program, R, nominal, plant, frequency)
@@ -160,9 +159,9 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
 
 def _bounded(problem, plant, frequency):
     """Frequencies of bounds on the nominal M, and plants and frequencies of the cuts."""
-    summed, radius = problem.objective.summed, problem.radius
+    summed = problem.objective.summed
     of_M = (problem.Q != 0) | summed  # elsewhere L alone is bounded
     # the bound within the radius implies the nominal one
-    within = np.zeros(len(of_M), bool) if radius is None else of_M & (radius > 0)
+    within = of_M & (problem.response.radii > 0)
     nominal, within = np.flatnonzero(of_M & (summed | ~within)), np.flatnonzero(within)
     return nominal, np.append(0 * within, plant), np.append(within, frequency)

@@ -65,7 +65,7 @@ def reach(problem, L, i):
 def test_the_bound_is_attained_and_no_plant_within_the_radius_is_worse(m, others, seed):
     problem, L = random_case(m, seed, others=others)
     worst = worst_case(problem, L)
-    plant, at = worst.tied[0]
+    plant, at = worst.plant, worst.frequency
     assert worst.sigma[at] == worst.sigma.max() and plant in range(1 + others)
     exact = worst_case(replace(problem, response=replace(problem.response, radius=None)), L)
     nominal = [[sigma_max(problem, L, i, k) for i in range(5)] for k in range(1 + others)]

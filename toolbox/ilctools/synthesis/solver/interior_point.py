@@ -40,7 +40,6 @@ Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as 
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -136,9 +135,9 @@ class Point:
     def stationarity(self):
         """sum <dS/dx, Y> of (2)."""
         program, of_L = self.program, []
-        for j, Y in enumerate(self.Y):
-            p = len(program.bounds[j].F)
-            of_L.append(program.of_entries(j, 2 * Y[p:, :p]))
+        for bound, Y in zip(program.bounds, self.Y, strict=True):
+            p = len(bound.F)
+            of_L.append(program.of_entries(bound, 2 * Y[p:, :p]))
         return program.onto_x(of_L)
 
     @property
@@ -171,10 +170,10 @@ class Newton:
         self.p, self.slacks = p, [Slack(*S) for S in p.S]
         self.system = NewtonSystem(p.program, self.slacks, p.Y, p.eta / p.room)
 
-    def products(self, Y, dS):
-        """herm(Y dS X)."""
-        triples = zip(self.slacks, Y, dS, strict=True)
-        return [slack.sandwich(Y_j, *dS_j) for slack, Y_j, dS_j in triples]
+    def less_product(self, d, Y, dS):
+        """A direction, from whose dY herm(Y dS X) is subtracted."""
+        columns = zip(d.Y, self.slacks, Y, dS, strict=True)
+        return replace(d, Y=[dY - slack.sandwich(Y_j, *dS_j) for dY, slack, Y_j, dS_j in columns])
 
     def without_unknowns(self, mu, predictor):
         """(5) for dx = dt = dd = 0: dY, deta, and the way of the limits."""
@@ -185,22 +184,20 @@ class Newton:
         zeros = [0 * d for d in p.d], [0 * G for G in p.G]
         d = Point(p.program, 0 * p.x, 0 * p.t, toward, *zeros, dY, eta)
         if toward.any():
-            d = self._less(d, self.products(p.Y, d.S))
+            d = self.less_product(d, p.Y, d.S)
         if predictor is not None:
-            d = self._less(d, self.products(predictor.Y, predictor.S))
+            d = self.less_product(d, predictor.Y, predictor.S)
             d = replace(d, eta=d.eta - predictor.eta * predictor.room / p.room)
         return d
-
-    def _less(self, d, products):
-        return replace(d, Y=[A - B for A, B in zip(d.Y, products, strict=True)])
 
     def correction(self, multipliers):
         """The direction that makes multipliers stationary, (2), as far as rounding lets it."""
         p = self.p
         dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
         dG, deta = p.program.linear(dx), p.eta / p.room * dt
-        change = Point(p.program, dx, dt, 0 * p.limits, dd, dG, [], deta)
-        return replace(change, Y=[-A for A in self.products(p.Y, change.S)])
+        dY = [0 * Y for Y in p.Y]
+        change = Point(p.program, dx, dt, 0 * p.limits, dd, dG, dY, deta)
+        return self.less_product(change, p.Y, change.S)
 
     def direction(self, mu, predictor=None, tolerance=None):
         """The direction to (4); None if rounding keeps (2) from holding within a tolerance.
@@ -278,70 +275,41 @@ def ruled_out(p, objective):
     return p.dual_value - x_max > objective
 
 
-class Outcome(StrEnum):
-    """Why the central path was left."""
-
-    OPTIMAL = "the gap is closed"
-    ENOUGH = "the objective is low enough"
-    STAGNANT = "the gap does not get smaller"
-    RULED_OUT = "no filter meets the bounds"
-    NOT_MET = "the bounds were not met in time"
-    INACCURATE = "rounding spoils the direction"
-    SHORT = "the steps became too short"
-    TOO_MANY = "too many steps"
-
-
 class Path(NamedTuple):
     """What came of following the central path."""
 
     best: Point | None  # the point of the smallest gap within the limits
-    outcome: Outcome
-    iterations: int
-
-
-class Monitor:
-    """Keeps the best point within the limits, and says when to leave the path."""
-
-    def __init__(self, program, enough):
-        idle, _ = program.without_learning()
-        self.unit, self.enough = UNIT * program.cost @ idle, enough
-        self.largest = program.cost.sum() * program.limits[0]
-        self.best, self.smallest_gap, self.stagnant = None, np.inf, 0
-
-    def outcome(self, p, iteration) -> Outcome | None:
-        """Why to leave the path at p; None to go on."""
-        if not p.within_limits:
-            return self._of_moved_limits(p, iteration)
-        gap = max(p.complementarity, abs(p.objective - p.dual_value))
-        self.stagnant += 1
-        if gap < self.smallest_gap:
-            self.best, self.smallest_gap, self.stagnant = p, gap, 0
-        if gap < GAP * max(p.objective, self.unit):
-            return Outcome.OPTIMAL
-        if p.objective < self.enough:
-            return Outcome.ENOUGH
-        return Outcome.STAGNANT if self.stagnant == MOST_STAGNANT else None
-
-    def _of_moved_limits(self, p, iteration):
-        if iteration > MOST_MOVING:
-            return Outcome.NOT_MET
-        return Outcome.RULED_OUT if ruled_out(p, self.largest) else None
+    end: str  # why it was left
 
 
 def follow(p, enough=0.0) -> Path:
     """Follow the central path from p to an optimum, or to an objective that is low enough."""
-    monitor = Monitor(p.program, enough)
-    for iteration in range(MOST_STEPS):
-        outcome = monitor.outcome(p, iteration)
-        if outcome is None:
-            direction = mehrotra(p)
-            outcome = Outcome.INACCURATE if direction is None else None
-        if outcome is None:
-            p = advanced(p, direction)
-            outcome = Outcome.SHORT if p is None else None
-        if outcome is not None:
-            return Path(monitor.best, outcome, iteration)
-    return Path(monitor.best, Outcome.TOO_MANY, MOST_STEPS)
+    program, (idle, _) = p.program, p.program.without_learning()
+    unit, largest = UNIT * program.cost @ idle, program.cost.sum() * program.limits[0]
+    best, smallest_gap, stagnant = None, np.inf, 0
+    for step in range(MOST_STEPS):
+        if p.within_limits:
+            gap = max(p.complementarity, abs(p.objective - p.dual_value))
+            stagnant += 1
+            if gap < smallest_gap:
+                best, smallest_gap, stagnant = p, gap, 0
+            if gap < GAP * max(p.objective, unit):
+                return Path(best, "the gap is closed")
+            if p.objective < enough:
+                return Path(best, "the objective is low enough")
+            if stagnant == MOST_STAGNANT:
+                return Path(best, "the gap does not get smaller")
+        elif step > MOST_MOVING:
+            return Path(best, "the bounds were not met in time")
+        elif ruled_out(p, largest):
+            return Path(best, "no filter meets the bounds")
+        direction = mehrotra(p)
+        if direction is None:
+            return Path(best, "rounding spoils the direction")
+        p = advanced(p, direction)
+        if p is None:
+            return Path(best, "the steps became too short")
+    return Path(best, "too many steps")
 
 
 def minimise(program: Program, nearby=None) -> Optimum:
@@ -352,42 +320,33 @@ def minimise(program: Program, nearby=None) -> Optimum:
     """
     zero = np.zeros((len(program.rows), len(program.basis)))
     path = follow(begin(program, zero))
-    iterations = path.iterations
     if path.best is None and nearby is not None:
         path = follow(begin(program, nearby))
-        iterations += path.iterations
     if path.best is None:
-        nearest, more = phase_one(program, zero, iterations)
-        path = follow(begin(program, nearest.x))
-        iterations += more + path.iterations
+        path = follow(begin(program, phase_one(program, zero).x))
     if path.best is None:
-        raise RuntimeError(
-            f"no filter met the bounds after {iterations} iterations: {path.outcome}"
-        )
+        raise RuntimeError(f"no filter met the bounds: {path.end}")
     if program.shared and path.best.t[0] > program.most:
         raise Infeasible("the bounds cannot be met")
-    return optimum(path.best, iterations)
+    return optimum(path.best)
 
 
-def phase_one(program, zero, iterations):
-    """A point that meets the bounds, from the least largest value, and how many iterations."""
-    path = follow(begin(program.minimax(), zero), enough=program.most)
-    nearest, iterations = path.best, iterations + path.iterations
+def phase_one(program, zero) -> Point:
+    """A point that meets the bounds, from the least largest value."""
+    nearest, end = follow(begin(program.minimax(), zero), enough=program.most)
     if nearest is None:
-        raise RuntimeError(f"no point to start from after {iterations} iterations: {path.outcome}")
-    if nearest.t[0] >= program.most:
-        if ruled_out(nearest, (1 - CLOSE) * program.most):
-            raise Infeasible("the bounds cannot be met")
-        raise RuntimeError(
-            f"neither met nor ruled out after {iterations} iterations: {path.outcome}"
-        )
-    return nearest, path.iterations
+        raise RuntimeError(f"no point to start from: {end}")
+    if nearest.t[0] < program.most:
+        return nearest
+    if ruled_out(nearest, (1 - CLOSE) * program.most):
+        raise Infeasible("the bounds cannot be met")
+    raise RuntimeError(f"the bounds were neither met nor ruled out: {end}")
 
 
-def optimum(p, iterations):
+def optimum(p):
     """What is returned of a point."""
     program = p.program
     shares = [d / b for d, (_, b, _) in zip(p.d, p.S, strict=True)]
     multipliers = [-2 * Y[: len(G), len(G) :] for Y, (_, _, G) in zip(p.Y, p.S, strict=True)]
     t, limits = program.largest(program.values(p.x, shares))
-    return Optimum(p.x, multipliers, max(*t, limits[0]), iterations)
+    return Optimum(p.x, multipliers, max(*t, limits[0]))

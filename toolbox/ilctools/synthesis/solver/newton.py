@@ -27,9 +27,8 @@ EPS = np.finfo(float).eps
 class Block:
     """One bound at a point: its second derivatives in z, in a shared t and in the entries of L."""
 
-    def __init__(self, program, j, slack, Y, barrier):
-        self.program, self.j, self.bound = program, j, program.bounds[j]
-        self.slack, self.Y = slack, Y
+    def __init__(self, program, bound, slack, Y, barrier):
+        self.program, self.bound, self.slack, self.Y = program, bound, slack, Y
         has_t = self.bound.level < len(program.cost)
         self.has_shared_t, self.has_own_t = has_t & program.shared, has_t & (not program.shared)
         of_b = np.ones(self.bound.F.shape[1])  # b stands in Lambda and below it
@@ -58,7 +57,7 @@ class Block:
         """<a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
         X, Y, a, p = self.slack.X, self.Y, a[:, None], len(self.bound.F)
         W = product(X[p:] * a, Y[:, :p]) + product(Y[p:] * a, X[:, :p])
-        return self.program.of_entries(self.j, W)
+        return self.program.of_entries(self.bound, W)
 
     def forms(self, j, k):
         """Forms A, Hermitian, and B, symmetric, in pairs j, k of entries of L, (pairs, c).
@@ -100,9 +99,8 @@ class NewtonSystem:
 
     def __init__(self, program, slacks, Y, barrier):
         self.program = program
-        of_own_t = program.at_own_t(barrier)
-        numbers = range(len(program.bounds))
-        self.blocks = [Block(program, j, slacks[j], Y[j], of_own_t[j]) for j in numbers]
+        columns = zip(program.bounds, slacks, Y, program.at_own_t(barrier), strict=True)
+        self.blocks = [Block(program, *each) for each in columns]
         tL = program.onto_x([block.tL for block in self.blocks]).ravel()
         tt = sum(block.tt for block in self.blocks) + (barrier[0] if program.shared else 1)
         H = np.block([[np.array([[tt]]), tL[None]], [tL[:, None], self._of_x()]])

@@ -28,7 +28,6 @@ class Optimum:
     x: np.ndarray
     multipliers: list[np.ndarray]  # of G in each bound
     largest: float  # of all bounds with the first limit
-    iterations: int
 
 
 class Infeasible(RuntimeError):
@@ -75,13 +74,12 @@ class Program:
     def minimax(self):
         """The program of the least possible largest value of what has a t or the first limit."""
         t, (first, *_) = self.without_learning()
-        beyond_first = [np.maximum(bound.level - len(self.cost), 0) for bound in self.bounds]
-        bounds = tuple(  # the one t has number 0, the limits follow
-            replace(bound, level=np.where(number > 0, number + 1, 0))
-            for bound, number in zip(self.bounds, beyond_first, strict=True)
-        )
+        bounds = []
+        for bound in self.bounds:  # the one t has number 0, the limits follow
+            number = np.maximum(bound.level - len(self.cost), 0)
+            bounds.append(replace(bound, level=np.where(number > 0, number + 1, 0)))
         limits = np.append(GENEROUS * max(*t, first), self.limits[1:])
-        return replace(self, bounds=bounds, cost=np.ones(1), limits=limits)
+        return replace(self, bounds=tuple(bounds), cost=np.ones(1), limits=limits)
 
     def linear(self, x):
         """T L of each bound."""
@@ -100,9 +98,9 @@ class Program:
         columns = zip(self.bounds, self.matrices(x), shares, strict=True)
         return [bound.value(G, share) for bound, G, share in columns]
 
-    def of_entries(self, j, W):
-        """The g with Re tr(W T L) = Re sum g L, for the entries of L of bound j, (e, c)."""
-        return product(W, self.bounds[j].T)[self.cols, self.rows]
+    def of_entries(self, bound, W):
+        """The g with Re tr(W T L) = Re sum g L, for the entries of L in a bound, (e, c)."""
+        return product(W, bound.T)[self.cols, self.rows]
 
     @cached_property
     def incidence(self):
