@@ -48,16 +48,6 @@ class RigSignals:
 
 
 @dataclass(frozen=True)
-class OptionalMethods:
-    """Methods that the protocol leaves to the driver; None where it has none."""
-
-    begin: Callable | None  # brings the rig to where trials begin
-    clock: Callable | None  # the time, s
-    safe: Callable | None  # leaves the rig safe
-    safe_time: float  # s, that `safe` may take before a signal ends it
-
-
-@dataclass(frozen=True)
 class RigDescription:
     """A rig under its loop and its law, made by :func:`described`; nothing of it changes."""
 
@@ -70,7 +60,10 @@ class RigDescription:
     law: Law | None  # on this rig: within its limits, unless the law has none at all
     actuators: Actuators | None  # which cut commands off at the limits of the law, if it has some
     stop: dict[str, tuple[float, float]]  # limits beyond which the experiment stops, by name
-    methods: OptionalMethods
+    begin: Callable | None  # brings the rig to where trials begin, if it can
+    clock: Callable | None  # the time, s, if it has a clock
+    safe: Callable | None  # leaves it safe, if it has something for that
+    safe_time: float  # s, that `safe` may take before a signal ends it
     trials: int
     samples: int  # of a trial
     goes_on: bool  # whether a trial starts where the last one ended
@@ -125,24 +118,24 @@ def described(
     """
     driver = _driver(rig)
     signals = _signals(driver, loop)
-    Ts = arguments.sampling_period("rig.Ts", getattr(driver, "Ts", loop.Ts))
-    decimals = _decimals(decimals)
     limits = _limits(driver, signals)
     law = law and law.on_rig(limits)
-    actuators = law and law.actuators
-    stop = stop_limits(stop, reference, loop, limits)
     trials, samples = reference.shape[:2]
+    begin, clock, safe = (getattr(driver, name, None) for name in ("begin", "clock", "safe"))
     return RigDescription(
         driver=driver,
         loop=loop,
         signals=signals,
-        Ts=Ts,
-        decimals=decimals,
+        Ts=arguments.sampling_period("rig.Ts", getattr(driver, "Ts", loop.Ts)),
+        decimals=_decimals(decimals),
         limits=limits,
         law=law,
-        actuators=actuators,
-        stop=stop,
-        methods=_methods(driver),
+        actuators=law and law.actuators,
+        stop=stop_limits(stop, reference, loop, limits),
+        begin=begin,
+        clock=clock,
+        safe=safe,
+        safe_time=arguments.positive("rig.safe_time", getattr(driver, "safe_time", SAFE_TIME)),
         trials=trials,
         samples=samples,
         goes_on=goes_on,
@@ -182,10 +175,3 @@ def _limits(driver, signals):
     """What the rig follows of the commands."""
     limits = named_limits("rig.limits", getattr(driver, "limits", None), signals.inputs)
     return {name: limits[name] for name in signals.commands if name in limits}
-
-
-def _methods(driver):
-    """The optional methods of a driver."""
-    begin, clock, safe = (getattr(driver, name, None) for name in ("begin", "clock", "safe"))
-    safe_time = arguments.positive("rig.safe_time", getattr(driver, "safe_time", SAFE_TIME))
-    return OptionalMethods(begin, clock, safe, safe_time)

@@ -87,15 +87,11 @@ class Experiment:
         return self.about.rounded("v", self.following(trials))
 
     def go_on(self, past: Past, file: TrialLog | None) -> xr.Dataset:
-        """Run the trials that follow those that have ended; the log of all."""
-        if len(past.trials) < len(self.reference):
-            if past.trials:
-                file.replace(past.log)  # without a last trial that is torn
-            self.leave_safe_after(past, file)
-        return past.log
-
-    def leave_safe_after(self, past: Past, file: TrialLog | None) -> None:
-        """Run the trials that are missing; leave the rig safe on every way out."""
+        """Run the trials that are missing, and leave the rig safe on every way out."""
+        if len(past.trials) >= len(self.reference):
+            return past.log
+        if past.trials:
+            file.replace(past.log)  # without a last trial that is torn
         rig = ControlledRig(self.about)
         try:
             with ThreadPoolExecutor(1) as thread:
@@ -108,11 +104,12 @@ class Experiment:
         except Exception as error:
             error.trials = past.log
             error.add_note(
-                f"in {rig.state.place}; nothing was applied after it but what leaves the rig safe; "
+                f"in {rig.place}; nothing was applied after it but what leaves the rig safe; "
                 f"the attribute trials of this error has {len(past.trials)} "
                 f"(path = {file and file.path})"
             )
             raise
+        return past.log
 
     def add_trials(self, rig: ControlledRig, past: Past, writer: Writer) -> None:
         """Run the trials that are missing; save each, and warn of what it shows."""
@@ -120,40 +117,27 @@ class Experiment:
         with progress(total=self.reference[ended:, :, 0].size) as bar:
             if self.about.goes_on:
                 rig.begin(ended + 1)
-            for k in range(ended, count):
-                bar.set_description(f"trial {k + 1} of {count}", refresh=False)
-                trial, of_pause = self.trial_on(rig, past.trials, bar)
-                past.trials.append(trial)
+            for number in range(ended + 1, count + 1):
+                bar.set_description(f"trial {number} of {count}", refresh=False)
+                past.trials.append(self.trial_on(rig, past.trials, bar))
                 past.log = self.log_of(past)
-                writer.add(past.log, trial)
-                shown = warnings_of(self.about, past.log, past.trials, rig.state.late)
-                warner.warn({"pause": of_pause} | shown)
+                writer.add(past.log, past.trials[-1])
+                shown = warnings_of(self.about, past.log, past.trials, rig.late)
+                warner.warn({"pause": rig.restless} | shown)
             writer.finish()
 
-    def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> tuple[Part, str]:
-        """Run the trial after these; its signals, and what is to be said of the pause before it.
-
-        If the rig goes on, in parts whose v follows from those before; else it is one part.
-        """
-        k, of_pause = len(past), ""
+    def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
+        """Run the trial after these: if the rig goes on, in parts, else in one."""
+        number, reference = len(past) + 1, self.reference[len(past)]
 
         def respond(w, now):
-            nonlocal of_pause
             if not self.about.goes_on:
-                of_pause = self.begin_on(rig, past)
-            return rig.drive(k + 1, w, self.flows[k, now], bar, now.start)
+                rig.begin(number)
+                if past:
+                    rig.pause(number, self.pause, reference[0], start_of(self.about, past[0]))
+            return rig.drive(number, w, self.flows[number - 1, now], bar, now.start)
 
-        parts = learn(respond, self.v_after, self.reference[k], past)  # (22), (23)
-        return joined(parts), of_pause
-
-    def begin_on(self, rig: ControlledRig, past: list[Part]) -> str:
-        """Bring the rig to where the trial after these begins; what is to be warned of."""
-        number = len(past) + 1
-        rig.begin(number)
-        if not past:
-            return ""
-        w = self.reference[number - 1, 0]
-        return rig.pause(number, self.pause, w, start_of(self.about, past[0]))
+        return joined(learn(respond, self.v_after, reference, past))  # (22), (23)
 
     def log_of(self, past: Past) -> xr.Dataset:
         """The log of the trials that have ended."""

@@ -53,12 +53,11 @@ def warnings_of(
 
 def _beyond_limits(about, trial):
     """Commands that the actuators do not follow: the law knows of its limits, not of the rig's."""
-    asked, commands = about.loop.asked(trial), about.signals.commands
-    if about.actuators is not None:
-        beyond = commands_beyond(asked, commands, about.law.known_limits)
-        return {"limits": beyond and beyond + CUT_OFF}
-    beyond = commands_beyond(asked, commands, about.limits)
-    return {"rig": beyond and f"{beyond}; what the rig cuts off, the law does not know"}
+    kind, limits, then = "rig", about.limits, "; what the rig cuts off, the law does not know"
+    if about.actuators:
+        kind, limits, then = "limits", about.law.known_limits, CUT_OFF
+    beyond = commands_beyond(about.loop.asked(trial), about.signals.commands, limits)
+    return {kind: beyond and beyond + then}
 
 
 def _another_start(about, trials):

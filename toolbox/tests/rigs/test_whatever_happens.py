@@ -155,67 +155,45 @@ def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_t
     assert getattr(error.value, "__notes__", []) == [UNSAFE] * (2 - noted)
 
 
-def test_signals_are_handled_as_before_afterwards_and_by_whom_they_were():
-    axis, seen, own = Axis(), [], lambda *arguments: None
-    axis.safe = lambda: seen.extend(map(signal.getsignal, (signal.SIGTERM, signal.SIGINT)))
-    before = signal.signal(signal.SIGTERM, own)
-    try:
-        record(axis, LOOP, LAW, REFERENCE, trials=1)
-        assert seen[0] is own is signal.getsignal(signal.SIGTERM)
-        assert seen[1] is not signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def in_executor(run):
-    """What a call returns in the executor of asyncio."""
-
-    async def main():
-        return await asyncio.get_running_loop().run_in_executor(None, run)
-
-    return asyncio.run(main())
-
-
 def in_thread(run):
     """What a call returns in a thread, or the error that it raises there."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(run).result()
 
 
-@pytest.mark.parametrize("elsewhere", [in_thread, in_executor])
-def test_another_thread_than_the_main_one_has_the_same_trials_and_the_same_errors(elsewhere):
+def test_another_thread_than_the_main_one_has_the_same_trials_and_the_same_errors():
     """Where no handler of signals can be set, none was replaced."""
     trials = partial(record, loop=LOOP, law=LAW, reference=REFERENCE, trials=3)
     shaken = partial(shake, loop=LOOP, excitation=multisine(LOOP, 5.0, 50.0, 1.0, 0.02))
     for run in (trials, shaken):
-        there = elsewhere(lambda run=run: run(Axis()))
+        there = in_thread(lambda run=run: run(Axis()))
         assert there.identical(run(Axis())) and there.sizes["trial"] > 1
         broken = Axis()
         broken.apply = lambda w: (_ for _ in ()).throw(RuntimeError("usb gone"))
         broken.safe = partial(setattr, broken, "x", -1.0)
         with pytest.raises(RuntimeError, match="usb gone") as error:
-            elsewhere(lambda run=run, rig=broken: run(rig))
+            in_thread(lambda run=run, rig=broken: run(rig))
         assert error.value.__context__ is None and broken.x == -1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("fails", [False, True])
-def test_all_handlers_are_back_after_a_run_and_those_of_c_code_are_not_touched(fails, monkeypatch):
+def test_handlers_are_back_after_a_run_and_those_of_others_are_not_touched(fails, monkeypatch):
     """`getsignal` gives a handler that C code has installed as None."""
-    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    axis, before = Axis(), [*map(signal.getsignal, numbers)]
+    numbers, known, during = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], signal.getsignal, []
+    axis, own = Axis(), lambda *arguments: None
     axis.read = lambda: [np.nan if fails else 0.0]
-    run = partial(record, axis, LOOP, LAW, REFERENCE, trials=1)
-    with suppress(RigError):
-        run()
-    assert [*map(signal.getsignal, numbers)] == before
-    touched, known, set_handler = [], signal.getsignal, signal.signal
-    monkeypatch.setattr(signal, "getsignal", lambda n: None if n in numbers[:2] else known(n))
-    monkeypatch.setattr(signal, "signal", lambda n, h: [touched.append(n), set_handler(n, h)][1])
-    with suppress(RigError):
-        run()
-    assert {*touched} == {signal.SIGHUP}
-    assert [*map(known, numbers)] == before
+    axis.safe = lambda: during.extend(map(known, numbers))
+    monkeypatch.setattr(signal, "getsignal", lambda n: None if n == signal.SIGHUP else known(n))
+    usual = signal.signal(signal.SIGTERM, own)
+    try:
+        before = [*map(known, numbers)]
+        with suppress(RigError):
+            record(axis, LOOP, LAW, REFERENCE, trials=1)
+        assert [*map(known, numbers)] == before
+        assert during[1:] == before[1:] and during[0] != before[0]
+    finally:
+        signal.signal(signal.SIGTERM, usual)
 
 
 @pytest.mark.parametrize("reset", [True, False])
@@ -263,13 +241,14 @@ def room():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(tmp_path, room):
+@pytest.mark.parametrize("trials", [3, 5])
+def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(trials, tmp_path, room):
     path, whole, axis = tmp_path / "log.csv", tmp_path / "whole.csv", Axis()
     two = record(Axis(), LOOP, LAW, REFERENCE, trials=2, reset=False, path=whole)
     axis.safe = lambda: setattr(axis, "x", -1.0)
     room(whole.stat().st_size + 1000)  # bytes, in which there is room for a part of a trial
     with pytest.raises(OSError, match="File too large") as error:
-        record(axis, LOOP, LAW, REFERENCE, trials=5, reset=False, path=path)
+        record(axis, LOOP, LAW, REFERENCE, trials=trials, reset=False, path=path)
     assert axis.x == -1 and load_log(path).identical(two)
     assert path.read_bytes() == whole.read_bytes()
     assert error.value.trials.sizes["trial"] > 2
