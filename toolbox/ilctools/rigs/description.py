@@ -116,17 +116,19 @@ def described(
     goes_on : bool
         Whether a trial starts where the last one ended.
     """
-    driver = _driver(rig)
-    signals = _signals(driver, loop)
-    limits = _limits(driver, signals)
+    if isinstance(arguments.instance("rig", rig, Rig), type):
+        raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
+    signals = _signals(rig, loop)
+    limits = named_limits("rig.limits", getattr(rig, "limits", None), signals.inputs)
+    limits = {name: limits[name] for name in signals.commands if name in limits}
     law = law and law.on_rig(limits)
     trials, samples = reference.shape[:2]
-    begin, clock, safe = (getattr(driver, name, None) for name in ("begin", "clock", "safe"))
+    begin, clock, safe = (getattr(rig, name, None) for name in ("begin", "clock", "safe"))
     return RigDescription(
-        driver=driver,
+        driver=rig,
         loop=loop,
         signals=signals,
-        Ts=arguments.sampling_period("rig.Ts", getattr(driver, "Ts", loop.Ts)),
+        Ts=arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts)),
         decimals=_decimals(decimals),
         limits=limits,
         law=law,
@@ -135,18 +137,11 @@ def described(
         begin=begin,
         clock=clock,
         safe=safe,
-        safe_time=arguments.positive("rig.safe_time", getattr(driver, "safe_time", SAFE_TIME)),
+        safe_time=arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME)),
         trials=trials,
         samples=samples,
         goes_on=goes_on,
     )
-
-
-def _driver(rig):
-    """The rig, which must be an object with the methods of the protocol."""
-    if isinstance(arguments.instance("rig", rig, Rig), type):
-        raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
-    return rig
 
 
 def _signals(driver, loop):
@@ -169,9 +164,3 @@ def _decimals(decimals):
     for signal, number in checked.items():
         arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
     return checked
-
-
-def _limits(driver, signals):
-    """What the rig follows of the commands."""
-    limits = named_limits("rig.limits", getattr(driver, "limits", None), signals.inputs)
-    return {name: limits[name] for name in signals.commands if name in limits}

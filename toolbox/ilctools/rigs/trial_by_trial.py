@@ -1,7 +1,6 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from ilctools.logs.reader import read_log
 from ilctools.progress import progress
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.description import RigDescription
-from ilctools.rigs.trial_log import TrialLog, Writer, log_path, without_others
+from ilctools.rigs.trial_log import TrialLog, log_path, without_others
 from ilctools.rigs.watch import Warner, start_of, warnings_of
 from ilctools.signals import dataset
 from ilctools.trials.learn import Part, joined, learn
@@ -55,7 +54,7 @@ class Experiment:
                     f"path = '{path}' cannot be written to, but {missing} of "
                     f"{len(self.reference)} trials are not in it: give another path ({denied})"
                 )
-            return self.go_on(past, TrialLog(path))
+            return self.go_on(past, path)
 
     def past_in(self, path: Path) -> Past:
         """The trials of the log at `path`, if there is one; those of another are refused."""
@@ -86,19 +85,19 @@ class Experiment:
         """v after these trials, with as many digits as are recorded."""
         return self.about.rounded("v", self.following(trials))
 
-    def go_on(self, past: Past, file: TrialLog | None) -> xr.Dataset:
+    def go_on(self, past: Past, path: Path | None) -> xr.Dataset:
         """Run the trials that are missing, and leave the rig safe on every way out."""
         if len(past.trials) >= len(self.reference):
             return past.log
+        file = TrialLog(path, waits=not self.about.goes_on)
         if past.trials:
             file.replace(past.log)  # without a last trial that is torn
         rig = ControlledRig(self.about)
         try:
-            with ThreadPoolExecutor(1) as thread:
-                writer = Writer(file, thread, waits=not self.about.goes_on)
+            with file.thread:
                 try:
                     rig.interrupts.watch()
-                    self.add_trials(rig, past, writer)
+                    self.add_trials(rig, past, file)
                 finally:
                     rig.interrupts.leave()
         except Exception as error:
@@ -106,12 +105,12 @@ class Experiment:
             error.add_note(
                 f"in {rig.place}; nothing was applied after it but what leaves the rig safe; "
                 f"the attribute trials of this error has {len(past.trials)} "
-                f"(path = {file and file.path})"
+                f"(path = {path})"
             )
             raise
         return past.log
 
-    def add_trials(self, rig: ControlledRig, past: Past, writer: Writer) -> None:
+    def add_trials(self, rig: ControlledRig, past: Past, file: TrialLog) -> None:
         """Run the trials that are missing; save each, and warn of what it shows."""
         ended, count, warner = len(past.trials), len(self.reference), Warner()
         with progress(total=self.reference[ended:, :, 0].size) as bar:
@@ -121,10 +120,10 @@ class Experiment:
                 bar.set_description(f"trial {number} of {count}", refresh=False)
                 past.trials.append(self.trial_on(rig, past.trials, bar))
                 past.log = self.log_of(past)
-                writer.add(past.log, past.trials[-1])
+                file.add(past.log, past.trials[-1])
                 shown = warnings_of(self.about, past.log, past.trials, rig.late)
                 warner.warn({"pause": rig.restless} | shown)
-            writer.finish()
+            file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
         """Run the trial after these: if the rig goes on, in parts, else in one."""
