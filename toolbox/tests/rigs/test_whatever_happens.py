@@ -312,19 +312,20 @@ def test_a_reading_of_one_output_may_be_a_number_and_of_several_may_not():
         law.next(v[:, 0], e[:, 0])
 
 
-@pytest.mark.parametrize("bad", [[np.nan], np.nan, [0.0, 0.0], None, "0.0"])
-def test_an_error_of_a_reading_says_in_which_trial_and_sample(bad):
+NO_READINGS = [[np.nan], np.nan, [0.0, 0.0], None, "0.0"]
+
+
+@pytest.mark.parametrize(
+    ("method", "bad", "name"),
+    [*(("read", bad, "reading of x") for bad in NO_READINGS), ("clock", np.nan, "clock")],
+)
+def test_an_error_of_a_reading_says_in_which_trial_and_sample(method, bad, name):
     """In its text, which a log of a service has without notes."""
-    axis, readings = Axis(), []
-
-    def read():
-        readings.append(axis.x)
-        return bad if len(readings) == 200 + 7 else [axis.x]
-
-    axis.read = read
+    axis, good = Axis(), iter([[0.0]] * 206 if method == "read" else np.arange(206) * 0.01)
+    setattr(axis, method, lambda: next(good, bad))
     with pytest.raises(RigError) as error:
         record(axis, LOOP, LAW, REFERENCE, pause=0)
-    assert str(error.value).startswith("trial 2, sample 7: reading of x ")
+    assert str(error.value).startswith(f"trial 2, sample 7: {name} ")
 
 
 def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tmp_path):
@@ -345,15 +346,6 @@ def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tm
             with pytest.raises(FileExistsError, match="is no regular file"):
                 write(path=path)
     assert {*os.listdir(tmp_path)} == names and axis.x == 0
-
-
-def test_a_clock_that_gives_no_number_ends_the_trial():
-    axis = Axis()
-    axis.clock = lambda: np.nan
-    with pytest.raises(
-        RigError, match=r"(?s)clock has 1 values that are not fin.*in trial 1, sample 1"
-    ):
-        record(axis, LOOP, LAW, REFERENCE)
 
 
 def test_raw_data_are_not_written_over(tmp_path):
