@@ -119,6 +119,9 @@ def described(
     if isinstance(arguments.instance("rig", rig, Rig), type):
         raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
     signals = _signals(rig, loop)
+    decimals = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
+    for signal, number in decimals.items():
+        arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
     limits = named_limits("rig.limits", getattr(rig, "limits", None), signals.inputs)
     limits = {name: limits[name] for name in signals.commands if name in limits}
     law = law and law.on_rig(limits)
@@ -129,7 +132,7 @@ def described(
         loop=loop,
         signals=signals,
         Ts=arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts)),
-        decimals=_decimals(decimals),
+        decimals=decimals,
         limits=limits,
         law=law,
         actuators=law and law.actuators,
@@ -156,11 +159,3 @@ def _signals(driver, loop):
     commanded = [name for name in loop.disturbances if name in inputs]
     known = [name for name in loop.disturbances if name in inputs or name in measured]
     return RigSignals(loop.outputs, commands, inputs, controls, commanded, known)
-
-
-def _decimals(decimals):
-    """The number of decimals by signal."""
-    checked = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
-    for signal, number in checked.items():
-        arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
-    return checked

@@ -89,7 +89,7 @@ class Experiment:
         """Run the trials that are missing, and leave the rig safe on every way out."""
         if len(past.trials) >= len(self.reference):
             return past.log
-        file = TrialLog(path, waits=not self.about.goes_on)
+        file = TrialLog(path)
         if past.trials:
             file.replace(past.log)  # without a last trial that is torn
         rig = ControlledRig(self.about)
@@ -121,6 +121,8 @@ class Experiment:
                 past.trials.append(self.trial_on(rig, past.trials, bar))
                 past.log = self.log_of(past)
                 file.add(past.log, past.trials[-1])
+                if not self.about.goes_on:
+                    file.finish()
                 shown = warnings_of(self.about, past.log, past.trials, rig.late)
                 warner.warn({"pause": rig.restless} | shown)
             file.finish()

@@ -49,8 +49,8 @@ class TrialLog:
     A thread writes it, so that a rig that never rests need not wait; without a path nothing does.
     """
 
-    def __init__(self, path: Path | None, waits: bool):
-        self.path, self.waits = path, waits
+    def __init__(self, path: Path | None):
+        self.path = path
         self.size = None  # of the file, in bytes, as this experiment left it
         self.thread = ThreadPoolExecutor(1)
         self.last: Future | None = None  # what is written, or was
@@ -65,8 +65,6 @@ class TrialLog:
         self.finish()
         if self.path:
             self.last = self.thread.submit(self.write, log, trial)
-            if self.waits:
-                self.finish()
 
     def finish(self) -> None:
         """Wait until all is written; raises the error of what was not."""

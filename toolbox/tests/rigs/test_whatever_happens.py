@@ -197,21 +197,24 @@ def test_handlers_are_back_after_a_run_and_those_of_others_are_not_touched(fails
 
 
 @pytest.mark.parametrize("reset", [True, False])
-def test_trials_are_added_to_the_log_as_if_it_were_written_whole(tmp_path, reset):
-    """The file is replaced once, after the first trial; and once where an experiment goes on."""
-    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
-    path.symlink_to(tmp_path / "linked.csv")
+def test_trials_are_added_to_the_log_as_if_it_were_written_whole(tmp_path, monkeypatch, reset):
+    """The file to which a link leads is replaced once, wherever the driver goes meanwhile."""
+    linked, other = tmp_path / "linked.csv", tmp_path / "other"
+    other.mkdir()
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").symlink_to(linked)
     axis, files = Axis(), set()
 
     def read():
         files.update(file.stat().st_ino for file in tmp_path.glob("linked.csv"))
         return [axis.x]
 
-    axis.read = read
-    log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path=path)
-    assert len(files) == 1
-    save_log(log, whole)
-    assert path.read_bytes() == whole.read_bytes() and path.is_symlink()
+    axis.read, axis.begin = read, lambda trial: os.chdir(other)
+    log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path="log.csv")
+    assert len(files) == 1 and not os.listdir(other)
+    save_log(log, tmp_path / "whole.csv")
+    assert linked.read_bytes() == (tmp_path / "whole.csv").read_bytes()
+    assert (tmp_path / "log.csv").is_symlink()
 
 
 def test_a_torn_trial_is_left_out_and_the_experiment_goes_on(tmp_path):
@@ -260,16 +263,6 @@ def test_a_log_that_another_program_writes_during_a_trial_is_left_alone(tmp_path
     with pytest.raises(FileExistsError, match="changed by another program") as error:
         record(axis, LOOP, LAW, REFERENCE, path=path)
     assert path.read_text() == "theirs" and error.value.trials.sizes["trial"] == 3
-
-
-def test_a_log_stays_where_it_was_begun_if_the_driver_changes_the_folder(tmp_path, monkeypatch):
-    (tmp_path / "other").mkdir()
-    monkeypatch.chdir(tmp_path)
-    axis = Axis()
-    axis.begin = lambda trial: os.chdir(tmp_path / "other")
-    log = record(axis, LOOP, LAW, REFERENCE, trials=3, path="log.csv")
-    assert not os.listdir(tmp_path / "other")
-    assert load_log(tmp_path / "log.csv").identical(log)
 
 
 def test_a_complete_log_in_a_folder_that_is_read_only_is_returned(tmp_path, monkeypatch):
