@@ -84,10 +84,11 @@ class RigDescription:
 
     def flows_of(self, disturbance) -> np.ndarray:
         """What is commanded to disturbances that are inputs, shape (trial, time, them)."""
-        names = self.loop.disturbances
+        names, known = self.loop.disturbances, self.signals.disturbances
         d = disturbances_of(self.loop, disturbance, self.trials, self.samples)
-        nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
-        if unknown := [name for name in nonzero if name not in self.signals.disturbances]:
+        nonzero = d.any(axis=(0, 1))
+        unknown = [name for i, name in enumerate(names) if nonzero[i] and name not in known]
+        if unknown:
             raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")
         return d[..., [names.index(name) for name in self.signals.commanded]]
 
@@ -126,7 +127,7 @@ def described(
     limits = {name: limits[name] for name in signals.commands if name in limits}
     law = law and law.on_rig(limits)
     trials, samples = reference.shape[:2]
-    begin, clock, safe = (getattr(rig, name, None) for name in ("begin", "clock", "safe"))
+    optional = {name: getattr(rig, name, None) for name in ("begin", "clock", "safe")}
     return RigDescription(
         driver=rig,
         loop=loop,
@@ -137,9 +138,7 @@ def described(
         law=law,
         actuators=law and law.actuators,
         stop=stop_limits(stop, reference, loop, limits),
-        begin=begin,
-        clock=clock,
-        safe=safe,
+        **optional,
         safe_time=arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME)),
         trials=trials,
         samples=samples,

@@ -13,7 +13,7 @@ from ilctools.progress import progress
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.description import RigDescription
 from ilctools.rigs.trial_log import TrialLog, log_path, without_others
-from ilctools.rigs.watch import Warner, start_of, warnings_of
+from ilctools.rigs.watch import start_of, warn_once, warnings_of
 from ilctools.signals import dataset
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
@@ -112,7 +112,7 @@ class Experiment:
 
     def add_trials(self, rig: ControlledRig, past: Past, file: TrialLog) -> None:
         """Run the trials that are missing; save each, and warn of what it shows."""
-        ended, count, warner = len(past.trials), len(self.reference), Warner()
+        ended, count, said = len(past.trials), len(self.reference), set()
         with progress(total=self.reference[ended:, :, 0].size) as bar:
             if self.about.goes_on:
                 rig.begin(ended + 1)
@@ -124,7 +124,7 @@ class Experiment:
                 if not self.about.goes_on:
                     file.finish()
                 shown = warnings_of(self.about, past.log, past.trials, rig.late)
-                warner.warn({"pause": rig.restless} | shown)
+                warn_once({"pause": rig.restless} | shown, said)
             file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:

@@ -6,18 +6,18 @@ import pytest
 from plants import LOOPS, RestartingModel, bump
 
 from ilctools import Law, multisine, record, shake, zero_phase_butterworth
-from ilctools.rigs.watch import EACH_TRIAL, Warner
+from ilctools.rigs.watch import EACH_TRIAL, warn_once
 
 STAGE = LOOPS["stage"]()
 Q = zero_phase_butterworth(2, 300.0, STAGE.Ts)
 
 
 def test_most_kinds_are_said_once_and_those_of_a_single_trial_each_time():
-    kinds, warner = ["pause", "limits", "rig", "grows", "start", "clock"], Warner()
+    kinds, before = ["pause", "limits", "rig", "grows", "start", "clock"], set()
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         for _ in range(3):
-            warner.warn({kind: kind for kind in kinds} | {"nothing": ""})
+            warn_once({kind: kind for kind in kinds} | {"nothing": ""}, before)
     said = [str(warning.message) for warning in seen]
     assert sorted(said) == sorted([*kinds, *EACH_TRIAL, *EACH_TRIAL])
 

@@ -196,25 +196,27 @@ def test_handlers_are_back_after_a_run_and_those_of_others_are_not_touched(fails
         signal.signal(signal.SIGTERM, usual)
 
 
-@pytest.mark.parametrize("reset", [True, False])
-def test_trials_are_added_to_the_log_as_if_it_were_written_whole(tmp_path, monkeypatch, reset):
-    """The file to which a link leads is replaced once, wherever the driver goes meanwhile."""
-    linked, other = tmp_path / "linked.csv", tmp_path / "other"
+@pytest.mark.parametrize(("reset", "name"), [(True, "linked.csv"), (False, "log.csv")])
+def test_trials_are_added_to_the_log_as_if_it_were_written_whole(
+    tmp_path, monkeypatch, reset, name
+):
+    """The file, also one to which a link leads, is replaced once, wherever the driver goes."""
+    file, whole, other = tmp_path / name, tmp_path / "whole.csv", tmp_path / "other"
     other.mkdir()
     monkeypatch.chdir(tmp_path)
-    Path("log.csv").symlink_to(linked)
+    if name != "log.csv":
+        Path("log.csv").symlink_to(file)
     axis, files = Axis(), set()
 
     def read():
-        files.update(file.stat().st_ino for file in tmp_path.glob("linked.csv"))
+        files.update(path.stat().st_ino for path in tmp_path.glob(name))
         return [axis.x]
 
     axis.read, axis.begin = read, lambda trial: os.chdir(other)
     log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path="log.csv")
-    assert len(files) == 1 and not os.listdir(other)
-    save_log(log, tmp_path / "whole.csv")
-    assert linked.read_bytes() == (tmp_path / "whole.csv").read_bytes()
-    assert (tmp_path / "log.csv").is_symlink()
+    save_log(log, whole)
+    assert len(files) == 1 and not os.listdir(other) and file.read_bytes() == whole.read_bytes()
+    assert (tmp_path / "log.csv").is_symlink() == (name != "log.csv")
 
 
 def test_a_torn_trial_is_left_out_and_the_experiment_goes_on(tmp_path):
