@@ -33,7 +33,7 @@ class ControlledRig:
         self.controller = self.new_controller()
         self.due: float | None = None  # when the next sample is, by the clock; None: when it comes
         self.late: list[float] = []  # by how much each sample of a trial is not on time, s
-        self.restless = ""  # the warning of the last pause, if the outputs were not still after it
+        self.restless = ""  # what the last pause warns of
         self.place = ""  # trial and sample, as errors say it
 
     def new_controller(self) -> Controller | None:
@@ -48,21 +48,21 @@ class ControlledRig:
             self.interrupts.call(self.about.begin, trial)
             self.controller = self.new_controller()
 
-    def pause(self, trial: int, samples: int | None, w, start: Start) -> None:
-        """Hold w before a trial for so many samples; None: until the rig stands at its start."""
+    def pause(self, trial: int, samples: int | None, w, start: Start) -> str:
+        """Hold w before a trial for so many samples; None: until the rig stands at its start.
+
+        Returns what there is to be warned of.
+        """
         flows, length, still = np.zeros(len(self.about.signals.commanded)), self.about.samples, 0
         longest = round(LONGEST_PAUSE * length) if samples is None else samples
-        self.restless = ""
         for p in range(longest):
             self.place = f"pause before trial {trial}, sample {p + 1}"
             y = self.sample(w, flows)["y"]
             still = still + 1 if start.near(y, w) else 0
             if samples is None and still >= STANDSTILL * length:
-                return
-        if samples is None:
-            self.restless = (
-                f"before trial {trial} the outputs were not back and still after {longest} samples"
-            )
+                return ""
+        text = f"before trial {trial} the outputs were not back and still after {longest} samples"
+        return text if samples is None else ""
 
     def drive(self, trial: int, w, flows, bar, first: int = 0) -> Part:
         """Drive the rig by w (time, channel) in a trial, from its sample `first` on.

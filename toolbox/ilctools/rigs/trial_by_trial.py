@@ -135,7 +135,8 @@ class Experiment:
             if not self.about.goes_on:
                 rig.begin(number)
                 if past:
-                    rig.pause(number, self.pause, reference[0], start_of(self.about, past[0]))
+                    start = start_of(self.about, past[0])
+                    rig.restless = rig.pause(number, self.pause, reference[0], start)
             return rig.drive(number, w, self.flows[number - 1, now], bar, now.start)
 
         return joined(learn(respond, self.v_after, reference, past))  # (22), (23)

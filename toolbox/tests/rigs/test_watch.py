@@ -2,6 +2,7 @@
 
 import warnings
 
+import numpy as np
 import pytest
 from plants import LOOPS, RestartingModel, bump
 
@@ -45,3 +46,14 @@ def test_a_warning_names_the_line_that_called(run):
     first, count = run.__code__.co_firstlineno, len([*run.__code__.co_lines()])
     for warning in seen:
         assert warning.filename == __file__ and first < warning.lineno <= first + count
+
+
+def test_late_samples_are_counted_from_a_tenth_of_the_sampling_period_on():
+    rig, times = limited(), np.arange(1000) * STAGE.Ts
+    times[3::60] += 0.09 * STAGE.Ts  # in each trial of 60 samples, this one is near enough
+    times[[5, 7]] += [0.11 * STAGE.Ts, -0.5 * STAGE.Ts]
+    ticks = iter(times)
+    rig.clock, rig.limits = lambda: next(ticks), {}
+    with pytest.warns(UserWarning, match="2 samples were not on time, by up to") as seen:
+        record(rig, STAGE, Law(Q, None), bump(60, [2.0]), trials=2)
+    assert len([warning for warning in seen if "not on time" in str(warning.message)]) == 1
