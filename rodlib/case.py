@@ -39,8 +39,15 @@ def paper_choices(**changes) -> dict:
     >>> round(float(design.sigma_M.max()), 4)
     0.883
     """
-    choices = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band": (1e-4, 0.02)}
-    return choices | {"structure": "diagonal", "base": None} | changes
+    papers = {
+        "order": 10,
+        "M_max": 0.9,
+        "L_max": 50.0,
+        "band": (1e-4, 0.02),
+        "structure": "diagonal",
+        "base": None,
+    }
+    return papers | changes
 
 
 def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
@@ -85,8 +92,7 @@ def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTri
         )
     model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
     model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
-    units = dict.fromkeys(rod.inputs[:-1], "W")
-    units |= dict.fromkeys(["theta_a", *rod.outputs], "K")
+    units = dict.fromkeys(rod.inputs, "W") | dict.fromkeys(["theta_a", *rod.outputs], "K")
     plant = control.sample_system(model, Ts, method="zoh")
     return current_trial_loop(plant, controls=["Q1", "Q3"], units=units)
 
@@ -194,7 +200,7 @@ def assumed_disturbance(
     what = "above 0 and at most 0.7 of the trial, since a longer pulse does not end within it"
     duration = arguments.number("duration", duration, what, low=0, most=0.7)
     phase = np.arange(samples) / samples
-    pulse = np.clip(np.stack([phase - 0.2, phase - 0.3], axis=1) / duration, 0, 1)
+    pulse = np.clip((phase[:, None] - [0.2, 0.3]) / duration, 0, 1)
     disturbance = np.zeros((trials, samples, 3))
     disturbance[first - 1 :, :, 1:] = flows * np.sin(np.pi * pulse) ** 2
     return disturbance

@@ -199,11 +199,10 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
 
 def _draw_coefficients(axes, coefficients):
     """A line for each entry of the filter that is not zero."""
-    m, _, order = coefficients.shape
-    for i, j in np.ndindex(m, m):
-        if coefficients[i, j].any():
-            look, label = "o-" if i == j else "x:", f"$L_{{{i + 1}{j + 1}}}$"
-            axes.plot(np.arange(1, order + 1), coefficients[i, j], look, markersize=4, label=label)
+    order = coefficients.shape[-1]
+    for i, j in np.argwhere(coefficients.any(axis=-1)):
+        look, label = "o-" if i == j else "x:", f"$L_{{{i + 1}{j + 1}}}$"
+        axes.plot(np.arange(1, order + 1), coefficients[i, j], look, markersize=4, label=label)
     # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
     # would decide into which of them.
     axes.set(title="coefficients of $L$", xlabel="samples ahead", xlim=(0.4, order + 0.6))

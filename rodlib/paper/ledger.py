@@ -287,9 +287,10 @@ def changed(build: Path, root: Path) -> list[str]:
         "figures/ledger.md": markdown(rows),
         "README.md": splice((root / "README.md").read_text("utf-8"), "ledger", summary(rows)),
     }
-    different = different_figures(build / "figures", root / "figures")
-    files = [path for name in different for path in (build / "figures").glob(f"{name}.*")]
-    names = sorted(path.relative_to(build).as_posix() for path in files)
+    drawn = build / "figures"
+    different = different_figures(drawn, root / "figures")
+    files = [path for name in different for path in drawn.glob(f"{name}.*")]
+    names = sorted(f"figures/{path.name}" for path in files)
     for name, text in texts.items():
         write_whole(build / name, text)
         if text.encode() != (root / name).read_bytes():

@@ -83,7 +83,7 @@ class Actuators:
 
     def follow(self, commands) -> np.ndarray:
         """What is applied of commands, shape (..., m)."""
-        return np.minimum(np.maximum(commands, self.lowest), self.highest)
+        return np.clip(commands, self.lowest, self.highest)
 
 
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:

@@ -1,6 +1,5 @@
 """A rig under its controller, sample by sample: read, check, command, limit, observe, apply."""
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -25,35 +24,29 @@ class Reading(NamedTuple):
     measured: dict[str, float]  # what else, by name
 
 
-@dataclass
-class RigState:
-    """What changes from sample to sample."""
-
-    controller: Controller | None  # ours; None if the rig has its own
-    due: float | None = None  # when the next sample is due, by the rig's clock; None: when it comes
-    late: list[float] = field(default_factory=list)  # by how much each sample is not on time, s
-    place: str = ""  # trial and sample, as errors say it
-
-
 class ControlledRig:
-    """A rig that runs: what is known of it, its state, and the signals that interrupt it."""
+    """A rig that runs: what is known of it, what changes, and the signals that interrupt it."""
 
     def __init__(self, about: RigDescription):
         self.about = about
-        self.state = RigState(self.new_controller())
-        self.interrupts = Interrupts(self.make_safe, about.methods.safe_time)
+        self.interrupts = Interrupts(self.make_safe, about.safe_time)
+        self.controller = self.new_controller()
+        self.due: float | None = None  # when the next sample is, by the clock; None: when it comes
+        self.late: list[float] = []  # by how much each sample of a trial is not on time, s
+        self.restless = ""  # what the last pause warns of
+        self.place = ""  # trial and sample, as errors say it
 
     def new_controller(self) -> Controller | None:
-        """A controller that knows nothing of what was before."""
+        """A controller that knows nothing of what was before; None if the rig has its own."""
         about = self.about
         return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
 
     def begin(self, trial: int) -> None:
         """Bring the rig to where trials begin, if it can; the controller then starts afresh."""
-        self.state.place = f"trial {trial}"
-        if self.about.methods.begin:
-            self.interrupts.call(self.about.methods.begin, trial)
-            self.state.controller, self.state.due = self.new_controller(), None
+        self.place = f"trial {trial}"
+        if self.about.begin:
+            self.interrupts.call(self.about.begin, trial)
+            self.controller = self.new_controller()
 
     def pause(self, trial: int, samples: int | None, w, start: Start) -> str:
         """Hold w before a trial for so many samples; None: until the rig stands at its start.
@@ -63,7 +56,7 @@ class ControlledRig:
         flows, length, still = np.zeros(len(self.about.signals.commanded)), self.about.samples, 0
         longest = round(LONGEST_PAUSE * length) if samples is None else samples
         for p in range(longest):
-            self.state.place = f"pause before trial {trial}, sample {p + 1}"
+            self.place = f"pause before trial {trial}, sample {p + 1}"
             y = self.sample(w, flows)["y"]
             still = still + 1 if start.near(y, w) else 0
             if samples is None and still >= STANDSTILL * length:
@@ -76,14 +69,13 @@ class ControlledRig:
 
         Returns the signals of these samples but v and the reference, shape (time, channel).
         """
-        self.state.place = f"trial {trial}"
-        if not self.about.goes_on:
-            self.state.due = None
         if not first:
-            self.state.late = []
+            self.late = []
+        if not self.about.goes_on:
+            self.due = None
         samples = []
         for p in range(len(w)):
-            self.state.place = f"trial {trial}, sample {first + p + 1}"
+            self.place = f"trial {trial}, sample {first + p + 1}"
             self.interrupts.call(self.check_clock)
             samples.append(self.sample(w[p], flows[p]))
             bar.update()
@@ -91,24 +83,32 @@ class ControlledRig:
 
     def check_clock(self) -> None:
         """Note by how much a sample is not on time by the clock of the rig, if it has one."""
-        state, clock = self.state, self.about.methods.clock
-        if clock:
-            now = float(self.reading("clock", clock(), ()))
-            due = now if state.due is None else state.due
-            state.late.append(abs(now - due))
-            state.due = due + self.about.Ts
+        if self.about.clock:
+            now = float(self.reading("clock", self.about.clock(), ()))
+            due = now if self.due is None else self.due
+            self.late.append(abs(now - due))
+            self.due = due + self.about.Ts
 
     def sample(self, w, flows) -> Part:
         """Let one sampling period pass; its signals but v and the reference."""
-        signals = self.about.signals
+        about, controller = self.about, self.controller
         reading = self.interrupts.call(self.read)
-        self.check_stop(signals.outputs, reading.y)
-        delta, asked = self.command(w)
-        self.check_stop(signals.commands, asked)
-        applied = self.limit(asked)
-        self.observe(reading.y, applied)
+        self.check_stop(about.signals.outputs, reading.y)
+        signals = {"y": reading.y}
+        if controller:
+            signals["delta"] = about.rounded("delta", controller.delta)
+            signals["u"] = applied = controller.command(w)  # (18)
+        else:
+            applied = w
+        self.check_stop(about.signals.commands, applied)
+        if about.actuators:
+            applied = about.actuators.follow(applied)
+        if controller:
+            controller.observe(reading.y, applied)  # (16)
+            if about.actuators:
+                signals["applied"] = applied
         self.apply(applied, flows)
-        return self.signals_of(reading, delta, asked, applied, flows)
+        return signals | self.known(reading, flows)
 
     def read(self) -> Reading:
         """The outputs, and what else is measured; nothing is used before it is checked."""
@@ -130,7 +130,7 @@ class ControlledRig:
                 values = [values]
             return arguments.array(name, values, shape)
         except ValueError as error:
-            raise RigError(f"{self.state.place}: {error}") from None
+            raise RigError(f"{self.place}: {error}") from None
 
     def check_stop(self, names: list[str], values: np.ndarray) -> None:
         """Stop at what is beyond the limits of `stop`."""
@@ -144,58 +144,30 @@ class ControlledRig:
                     "ones. In trial 1 without v it is the reference that leads there"
                 )
 
-    def command(self, w) -> tuple[np.ndarray | None, np.ndarray]:
-        """The estimate delta of the disturbance, and what is asked for: u by (18), or w itself.
-
-        A rig that has a controller of its own is asked for w; there is no delta then.
-        """
-        controller = self.state.controller
-        if controller is None:
-            return None, w
-        return self.about.rounded("delta", controller.delta), controller.command(w)
-
-    def limit(self, asked) -> np.ndarray:
-        """What actuators make of the commands asked for, if the law has limits."""
-        actuators = self.about.actuators
-        return asked if actuators is None else actuators.follow(asked)
-
-    def observe(self, y, applied) -> None:
-        """Inform our observer (16) of the outputs and of what is applied."""
-        if self.state.controller is not None:
-            self.state.controller.observe(y, applied)
-
     def apply(self, applied, flows) -> None:
         """Send the commands and the commanded disturbances; inputs that are neither are zero."""
         inputs = np.zeros(len(self.about.signals.inputs))
         inputs[self.about.signals.places] = np.concatenate([applied, flows])
         self.interrupts.call(self.about.driver.apply, inputs)
 
-    def signals_of(self, reading: Reading, delta, asked, applied, flows) -> Part:
-        """The signals of a sample, as far as there are some."""
-        names, ours = self.about.signals, self.about.controller_is_ours
-        known = reading.measured | dict(zip(names.commanded, flows, strict=True))
-        reported = _values(known, names.controls)  # by a rig that has its own controller
-        signals = {
-            "y": reading.y,
-            "delta": delta,
-            "u": asked if ours else reported,
-            "applied": applied if ours and self.about.actuators is not None else None,
-            "disturbance": _values(known, names.disturbances),
+    def known(self, reading: Reading, flows) -> Part:
+        """What a rig with its own controller says of u, and the disturbances that are known."""
+        names = self.about.signals
+        values = reading.measured | dict(zip(names.commanded, flows, strict=True))
+        signals = {"u": names.controls, "disturbance": names.disturbances}
+        return {
+            signal: np.array([values[name] for name in listed])
+            for signal, listed in signals.items()
+            if listed
         }
-        return {name: values for name, values in signals.items() if values is not None}
 
     def make_safe(self) -> None:
         """Leave the rig in a safe state; an error there says so."""
         try:
-            if self.about.methods.safe:
-                self.about.methods.safe()
+            if self.about.safe:
+                self.about.safe()
             else:
                 self.about.driver.apply(np.zeros(len(self.about.signals.inputs)))
         except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
             raise
-
-
-def _values(known: dict[str, float], names: list[str]) -> np.ndarray | None:
-    """The values of these names; None if there are no names."""
-    return np.array([known[name] for name in names]) if names else None

@@ -48,16 +48,6 @@ class RigSignals:
 
 
 @dataclass(frozen=True)
-class OptionalMethods:
-    """Methods that the protocol leaves to the driver; None where it has none."""
-
-    begin: Callable | None  # brings the rig to where trials begin
-    clock: Callable | None  # the time, s
-    safe: Callable | None  # leaves the rig safe
-    safe_time: float  # s, that `safe` may take before a signal ends it
-
-
-@dataclass(frozen=True)
 class RigDescription:
     """A rig under its loop and its law, made by :func:`described`; nothing of it changes."""
 
@@ -70,7 +60,10 @@ class RigDescription:
     law: Law | None  # on this rig: within its limits, unless the law has none at all
     actuators: Actuators | None  # which cut commands off at the limits of the law, if it has some
     stop: dict[str, tuple[float, float]]  # limits beyond which the experiment stops, by name
-    methods: OptionalMethods
+    begin: Callable | None  # brings the rig to where trials begin, if it can
+    clock: Callable | None  # the time, s, if it has a clock
+    safe: Callable | None  # leaves it safe, if it has something for that
+    safe_time: float  # s, that `safe` may take before a signal ends it
     trials: int
     samples: int  # of a trial
     goes_on: bool  # whether a trial starts where the last one ended
@@ -91,10 +84,11 @@ class RigDescription:
 
     def flows_of(self, disturbance) -> np.ndarray:
         """What is commanded to disturbances that are inputs, shape (trial, time, them)."""
-        names = self.loop.disturbances
+        names, known = self.loop.disturbances, self.signals.disturbances
         d = disturbances_of(self.loop, disturbance, self.trials, self.samples)
-        nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
-        if unknown := [name for name in nonzero if name not in self.signals.disturbances]:
+        nonzero = d.any(axis=(0, 1))
+        unknown = [name for i, name in enumerate(names) if nonzero[i] and name not in known]
+        if unknown:
             raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")
         return d[..., [names.index(name) for name in self.signals.commanded]]
 
@@ -123,37 +117,33 @@ def described(
     goes_on : bool
         Whether a trial starts where the last one ended.
     """
-    driver = _driver(rig)
-    signals = _signals(driver, loop)
-    Ts = arguments.sampling_period("rig.Ts", getattr(driver, "Ts", loop.Ts))
-    decimals = _decimals(decimals)
-    limits = _limits(driver, signals)
+    if isinstance(arguments.instance("rig", rig, Rig), type):
+        raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
+    signals = _signals(rig, loop)
+    decimals = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
+    for signal, number in decimals.items():
+        arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
+    limits = named_limits("rig.limits", getattr(rig, "limits", None), signals.inputs)
+    limits = {name: limits[name] for name in signals.commands if name in limits}
     law = law and law.on_rig(limits)
-    actuators = law and law.actuators
-    stop = stop_limits(stop, reference, loop, limits)
     trials, samples = reference.shape[:2]
+    optional = {name: getattr(rig, name, None) for name in ("begin", "clock", "safe")}
     return RigDescription(
-        driver=driver,
+        driver=rig,
         loop=loop,
         signals=signals,
-        Ts=Ts,
+        Ts=arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts)),
         decimals=decimals,
         limits=limits,
         law=law,
-        actuators=actuators,
-        stop=stop,
-        methods=_methods(driver),
+        actuators=law and law.actuators,
+        stop=stop_limits(stop, reference, loop, limits),
+        **optional,
+        safe_time=arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME)),
         trials=trials,
         samples=samples,
         goes_on=goes_on,
     )
-
-
-def _driver(rig):
-    """The rig, which must be an object with the methods of the protocol."""
-    if isinstance(arguments.instance("rig", rig, Rig), type):
-        raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
-    return rig
 
 
 def _signals(driver, loop):
@@ -168,24 +158,3 @@ def _signals(driver, loop):
     commanded = [name for name in loop.disturbances if name in inputs]
     known = [name for name in loop.disturbances if name in inputs or name in measured]
     return RigSignals(loop.outputs, commands, inputs, controls, commanded, known)
-
-
-def _decimals(decimals):
-    """The number of decimals by signal."""
-    checked = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
-    for signal, number in checked.items():
-        arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
-    return checked
-
-
-def _limits(driver, signals):
-    """What the rig follows of the commands."""
-    limits = named_limits("rig.limits", getattr(driver, "limits", None), signals.inputs)
-    return {name: limits[name] for name in signals.commands if name in limits}
-
-
-def _methods(driver):
-    """The optional methods of a driver."""
-    begin, clock, safe = (getattr(driver, name, None) for name in ("begin", "clock", "safe"))
-    safe_time = arguments.positive("rig.safe_time", getattr(driver, "safe_time", SAFE_TIME))
-    return OptionalMethods(begin, clock, safe, safe_time)

@@ -168,7 +168,7 @@ def _checked_pause(pause: int | None, about: RigDescription) -> int | None:
     if about.goes_on and pause is not None:
         raise ValueError(f"reset = False, but pause = {pause}: there is none, leave it out")
     if pause is None:
-        return 0 if about.methods.begin else None
+        return 0 if about.begin else None
     return arguments.whole("pause", pause, 0)
 
 

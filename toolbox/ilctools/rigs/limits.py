@@ -1,7 +1,7 @@
 """Limits beyond which an experiment stops."""
 
 from ilctools import arguments
-from ilctools.law.limits import named_limits
+from ilctools.law.limits import UNLIMITED, named_limits
 from ilctools.loop.closed import Loop
 from ilctools.trials.start import largest_by_unit
 
@@ -27,6 +27,5 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
         limits[name] = low - beyond, high + beyond
     names = [*loop.outputs, *loop.commands]
     asked = arguments.by_name("stop", stop, names)
-    pairs = {name: pair for name, pair in asked.items() if pair is not None}
-    limits |= named_limits("stop", pairs, names)
-    return {name: limits[name] for name in limits if name in pairs or name not in asked}
+    stated = {name: pair for name, pair in asked.items() if pair is not None}
+    return limits | dict.fromkeys(asked, UNLIMITED) | named_limits("stop", stated, names)

@@ -1,7 +1,6 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,8 +12,8 @@ from ilctools.logs.reader import read_log
 from ilctools.progress import progress
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.description import RigDescription
-from ilctools.rigs.trial_log import TrialLog, Writer, log_path, without_others
-from ilctools.rigs.watch import Warner, start_of, warnings_of
+from ilctools.rigs.trial_log import TrialLog, log_path, without_others
+from ilctools.rigs.watch import start_of, warn_once, warnings_of
 from ilctools.signals import dataset
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
@@ -55,7 +54,7 @@ class Experiment:
                     f"path = '{path}' cannot be written to, but {missing} of "
                     f"{len(self.reference)} trials are not in it: give another path ({denied})"
                 )
-            return self.go_on(past, TrialLog(path))
+            return self.go_on(past, path)
 
     def past_in(self, path: Path) -> Past:
         """The trials of the log at `path`, if there is one; those of another are refused."""
@@ -86,74 +85,61 @@ class Experiment:
         """v after these trials, with as many digits as are recorded."""
         return self.about.rounded("v", self.following(trials))
 
-    def go_on(self, past: Past, file: TrialLog | None) -> xr.Dataset:
-        """Run the trials that follow those that have ended; the log of all."""
-        if len(past.trials) < len(self.reference):
-            if past.trials:
-                file.replace(past.log)  # without a last trial that is torn
-            self.leave_safe_after(past, file)
-        return past.log
-
-    def leave_safe_after(self, past: Past, file: TrialLog | None) -> None:
-        """Run the trials that are missing; leave the rig safe on every way out."""
+    def go_on(self, past: Past, path: Path | None) -> xr.Dataset:
+        """Run the trials that are missing, and leave the rig safe on every way out."""
+        if len(past.trials) >= len(self.reference):
+            return past.log
+        file = TrialLog(path)
+        if past.trials:
+            file.replace(past.log)  # without a last trial that is torn
         rig = ControlledRig(self.about)
         try:
-            with ThreadPoolExecutor(1) as thread:
-                writer = Writer(file, thread, waits=not self.about.goes_on)
+            with file.thread:
                 try:
                     rig.interrupts.watch()
-                    self.add_trials(rig, past, writer)
+                    self.add_trials(rig, past, file)
                 finally:
                     rig.interrupts.leave()
         except Exception as error:
             error.trials = past.log
             error.add_note(
-                f"in {rig.state.place}; nothing was applied after it but what leaves the rig safe; "
+                f"in {rig.place}; nothing was applied after it but what leaves the rig safe; "
                 f"the attribute trials of this error has {len(past.trials)} "
-                f"(path = {file and file.path})"
+                f"(path = {path})"
             )
             raise
+        return past.log
 
-    def add_trials(self, rig: ControlledRig, past: Past, writer: Writer) -> None:
+    def add_trials(self, rig: ControlledRig, past: Past, file: TrialLog) -> None:
         """Run the trials that are missing; save each, and warn of what it shows."""
-        ended, count, warner = len(past.trials), len(self.reference), Warner()
+        ended, count, said = len(past.trials), len(self.reference), set()
         with progress(total=self.reference[ended:, :, 0].size) as bar:
             if self.about.goes_on:
                 rig.begin(ended + 1)
-            for k in range(ended, count):
-                bar.set_description(f"trial {k + 1} of {count}", refresh=False)
-                trial, of_pause = self.trial_on(rig, past.trials, bar)
-                past.trials.append(trial)
+            for number in range(ended + 1, count + 1):
+                bar.set_description(f"trial {number} of {count}", refresh=False)
+                past.trials.append(self.trial_on(rig, past.trials, bar))
                 past.log = self.log_of(past)
-                writer.add(past.log, trial)
-                shown = warnings_of(self.about, past.log, past.trials, rig.state.late)
-                warner.warn({"pause": of_pause} | shown)
-            writer.finish()
+                file.add(past.log, past.trials[-1])
+                if not self.about.goes_on:
+                    file.finish()
+                shown = warnings_of(self.about, past.log, past.trials, rig.late)
+                warn_once({"pause": rig.restless} | shown, said)
+            file.finish()
 
-    def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> tuple[Part, str]:
-        """Run the trial after these; its signals, and what is to be said of the pause before it.
-
-        If the rig goes on, in parts whose v follows from those before; else it is one part.
-        """
-        k, of_pause = len(past), ""
+    def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
+        """Run the trial after these: if the rig goes on, in parts, else in one."""
+        number, reference = len(past) + 1, self.reference[len(past)]
 
         def respond(w, now):
-            nonlocal of_pause
             if not self.about.goes_on:
-                of_pause = self.begin_on(rig, past)
-            return rig.drive(k + 1, w, self.flows[k, now], bar, now.start)
+                rig.begin(number)
+                if past:
+                    start = start_of(self.about, past[0])
+                    rig.restless = rig.pause(number, self.pause, reference[0], start)
+            return rig.drive(number, w, self.flows[number - 1, now], bar, now.start)
 
-        parts = learn(respond, self.v_after, self.reference[k], past)  # (22), (23)
-        return joined(parts), of_pause
-
-    def begin_on(self, rig: ControlledRig, past: list[Part]) -> str:
-        """Bring the rig to where the trial after these begins; what is to be warned of."""
-        number = len(past) + 1
-        rig.begin(number)
-        if not past:
-            return ""
-        w = self.reference[number - 1, 0]
-        return rig.pause(number, self.pause, w, start_of(self.about, past[0]))
+        return joined(learn(respond, self.v_after, reference, past))  # (22), (23)
 
     def log_of(self, past: Past) -> xr.Dataset:
         """The log of the trials that have ended."""

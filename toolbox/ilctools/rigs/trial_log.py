@@ -2,7 +2,7 @@
 
 import errno
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -44,11 +44,16 @@ def without_others(path: Path) -> Iterator[OSError | None]:
 
 
 class TrialLog:
-    """The log of one experiment as a file; what others write there meanwhile is left alone."""
+    """The log of one experiment as a file; what others write there meanwhile is left alone.
 
-    def __init__(self, path: Path):
+    A thread writes it, so that a rig that never rests need not wait; without a path nothing does.
+    """
+
+    def __init__(self, path: Path | None):
         self.path = path
         self.size = None  # of the file, in bytes, as this experiment left it
+        self.thread = ThreadPoolExecutor(1)
+        self.last: Future | None = None  # what is written, or was
 
     def replace(self, log: xr.Dataset) -> None:
         """Write all trials, whatever is there."""
@@ -56,39 +61,29 @@ class TrialLog:
         self.size = self.path.stat().st_size
 
     def add(self, log: xr.Dataset, trial: Part) -> None:
+        """Add the last trial of a log; first the error of the one before, if there was one."""
+        self.finish()
+        if self.path:
+            self.last = self.thread.submit(self.write, log, trial)
+
+    def finish(self) -> None:
+        """Wait until all is written; raises the error of what was not."""
+        if self.last:
+            self.last.result()
+
+    def write(self, log: xr.Dataset, trial: Part) -> None:
         """Add the last trial of a log to the file, or write all where there is none.
 
         By rows, because meanwhile the next trial may run.
         """
         if not self.path.exists():
-            write_log(log, self.path)
-        elif self.path.stat().st_size == self.size:
-            signals = [trial[name] for name in columns_of(signals_of(log), log)]
-            append(self.path, rows_as_text(len(log.trial), log.time.values, signals))
-        else:
+            self.replace(log)
+            return
+        if self.path.stat().st_size != self.size:
             raise FileExistsError(
                 f"path = '{self.path}' was changed by another program during a trial, and is left "
                 "as it is: save the attribute trials of this error by save_log, at another path"
             )
+        signals = [trial[name] for name in columns_of(signals_of(log), log)]
+        append(self.path, rows_as_text(len(log.trial), log.time.values, signals))
         self.size = self.path.stat().st_size
-
-
-class Writer:
-    """Adds trials to a file in a thread, so that a rig that never rests need not wait for it."""
-
-    def __init__(self, file: TrialLog | None, thread: Executor, waits: bool):
-        self.file, self.thread, self.waits = file, thread, waits
-        self.last: Future | None = None  # what is written, or was
-
-    def add(self, log: xr.Dataset, trial: Part) -> None:
-        """Add the last trial of a log; first the error of the one before, if there was one."""
-        self.finish()
-        if self.file is not None:
-            self.last = self.thread.submit(self.file.add, log, trial)
-            if self.waits:
-                self.finish()
-
-    def finish(self) -> None:
-        """Wait until all is written; raises the error of what was not."""
-        if self.last is not None:
-            self.last.result()

@@ -16,18 +16,12 @@ LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
 EACH_TRIAL = {"pause", "clock", "rig"}  # of these kinds each trial is warned of, of others one
 
 
-class Warner:
-    """Warns of what trials show, by kinds: of most kinds once."""
-
-    def __init__(self):
-        self.said = set()  # kinds that are not said again
-
-    def warn(self, texts: dict[str, str]) -> None:
-        """Warn of these kinds, where a text is not empty."""
-        for kind, text in texts.items():
-            if text and kind not in self.said:
-                warn(text)
-                self.said |= {kind} - EACH_TRIAL
+def warn_once(texts: dict[str, str], said: set[str]) -> None:
+    """Warn of these kinds, where a text is not empty; of most kinds only if they are not `said`."""
+    for kind, text in texts.items():
+        if text and kind not in said:
+            warn(text)
+            said |= {kind} - EACH_TRIAL
 
 
 def start_of(about: RigDescription, first: Part) -> Start:
@@ -53,12 +47,11 @@ def warnings_of(
 
 def _beyond_limits(about, trial):
     """Commands that the actuators do not follow: the law knows of its limits, not of the rig's."""
-    asked, commands = about.loop.asked(trial), about.signals.commands
-    if about.actuators is not None:
-        beyond = commands_beyond(asked, commands, about.law.known_limits)
-        return {"limits": beyond and beyond + CUT_OFF}
-    beyond = commands_beyond(asked, commands, about.limits)
-    return {"rig": beyond and f"{beyond}; what the rig cuts off, the law does not know"}
+    kind, limits, then = "rig", about.limits, "; what the rig cuts off, the law does not know"
+    if about.actuators:
+        kind, limits, then = "limits", about.law.known_limits, CUT_OFF
+    beyond = commands_beyond(about.loop.asked(trial), about.signals.commands, limits)
+    return {kind: beyond and beyond + then}
 
 
 def _another_start(about, trials):

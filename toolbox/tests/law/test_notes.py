@@ -85,9 +85,11 @@ STATED = [  # as a user states them, what the law has, and what its file says
 
 @pytest.mark.parametrize(("limits", "meant", "noted"), STATED)
 def test_a_file_keeps_whose_limits_a_law_has(limits, meant, noted, tmp_path):
-    """The rig's, none at all, or its own: what `record` makes of them differs."""
+    """The rig's, none at all, or its own; a log, which was made within some, leaves none to it."""
     path, again = tmp_path / "law.json", tmp_path / "again.json"
     save_law(path, replace(LAW, limits=limits))
+    log = with_law(trials_of(LOOP), replace(LAW, limits=limits, loop=LOOP))
+    assert law_of(log).limits == (limits or {}) and ("actuators" in log.attrs) == bool(limits)
     assert json.loads(path.read_text()).get("actuators") == noted
     law = load_law(path)
     assert law.limits == meant
@@ -104,14 +106,6 @@ def test_a_file_of_a_law_with_the_limits_of_the_rig_has_the_bytes_that_it_always
     content |= {"sections": LAW.Q.sections.tolist()}
     expected = json.dumps(content, indent=1) + "\n"
     assert (tmp_path / "law.json").read_text() == expected
-
-
-@pytest.mark.parametrize("limits", [None, {}])
-def test_a_log_without_limits_was_made_without_any(limits):
-    """What the rig's limits were is known when a trial ends: a log leaves nothing to a rig."""
-    run = trials_of(LOOP)
-    noted = with_law(run, Law(LAW.Q, LAW.L, limits=limits, loop=LOOP))
-    assert "actuators" not in noted.attrs and law_of(noted).limits == {}
 
 
 @pytest.mark.parametrize(

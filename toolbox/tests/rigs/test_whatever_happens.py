@@ -155,85 +155,68 @@ def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_t
     assert getattr(error.value, "__notes__", []) == [UNSAFE] * (2 - noted)
 
 
-def test_signals_are_handled_as_before_afterwards_and_by_whom_they_were():
-    axis, seen, own = Axis(), [], lambda *arguments: None
-    axis.safe = lambda: seen.extend(map(signal.getsignal, (signal.SIGTERM, signal.SIGINT)))
-    before = signal.signal(signal.SIGTERM, own)
-    try:
-        record(axis, LOOP, LAW, REFERENCE, trials=1)
-        assert seen[0] is own is signal.getsignal(signal.SIGTERM)
-        assert seen[1] is not signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def in_executor(run):
-    """What a call returns in the executor of asyncio."""
-
-    async def main():
-        return await asyncio.get_running_loop().run_in_executor(None, run)
-
-    return asyncio.run(main())
-
-
 def in_thread(run):
     """What a call returns in a thread, or the error that it raises there."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(run).result()
 
 
-@pytest.mark.parametrize("elsewhere", [in_thread, in_executor])
-def test_another_thread_than_the_main_one_has_the_same_trials_and_the_same_errors(elsewhere):
+def test_another_thread_than_the_main_one_has_the_same_trials_and_the_same_errors():
     """Where no handler of signals can be set, none was replaced."""
     trials = partial(record, loop=LOOP, law=LAW, reference=REFERENCE, trials=3)
     shaken = partial(shake, loop=LOOP, excitation=multisine(LOOP, 5.0, 50.0, 1.0, 0.02))
     for run in (trials, shaken):
-        there = elsewhere(lambda run=run: run(Axis()))
+        there = in_thread(lambda run=run: run(Axis()))
         assert there.identical(run(Axis())) and there.sizes["trial"] > 1
         broken = Axis()
         broken.apply = lambda w: (_ for _ in ()).throw(RuntimeError("usb gone"))
         broken.safe = partial(setattr, broken, "x", -1.0)
         with pytest.raises(RuntimeError, match="usb gone") as error:
-            elsewhere(lambda run=run, rig=broken: run(rig))
+            in_thread(lambda run=run, rig=broken: run(rig))
         assert error.value.__context__ is None and broken.x == -1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("fails", [False, True])
-def test_all_handlers_are_back_after_a_run_and_those_of_c_code_are_not_touched(fails, monkeypatch):
+def test_handlers_are_back_after_a_run_and_those_of_others_are_not_touched(fails, monkeypatch):
     """`getsignal` gives a handler that C code has installed as None."""
-    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    axis, before = Axis(), [*map(signal.getsignal, numbers)]
+    numbers, known, during = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], signal.getsignal, []
+    axis, own = Axis(), lambda *arguments: None
     axis.read = lambda: [np.nan if fails else 0.0]
-    run = partial(record, axis, LOOP, LAW, REFERENCE, trials=1)
-    with suppress(RigError):
-        run()
-    assert [*map(signal.getsignal, numbers)] == before
-    touched, known, set_handler = [], signal.getsignal, signal.signal
-    monkeypatch.setattr(signal, "getsignal", lambda n: None if n in numbers[:2] else known(n))
-    monkeypatch.setattr(signal, "signal", lambda n, h: [touched.append(n), set_handler(n, h)][1])
-    with suppress(RigError):
-        run()
-    assert {*touched} == {signal.SIGHUP}
-    assert [*map(known, numbers)] == before
+    axis.safe = lambda: during.extend(map(known, numbers))
+    monkeypatch.setattr(signal, "getsignal", lambda n: None if n == signal.SIGHUP else known(n))
+    usual = signal.signal(signal.SIGTERM, own)
+    try:
+        before = [*map(known, numbers)]
+        with suppress(RigError):
+            record(axis, LOOP, LAW, REFERENCE, trials=1)
+        assert [*map(known, numbers)] == before
+        assert during[1:] == before[1:] and during[0] != before[0]
+    finally:
+        signal.signal(signal.SIGTERM, usual)
 
 
-@pytest.mark.parametrize("reset", [True, False])
-def test_trials_are_added_to_the_log_as_if_it_were_written_whole(tmp_path, reset):
-    """The file is replaced once, after the first trial; and once where an experiment goes on."""
-    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
-    path.symlink_to(tmp_path / "linked.csv")
+@pytest.mark.parametrize(("reset", "name"), [(True, "linked.csv"), (False, "log.csv")])
+def test_trials_are_added_to_the_log_as_if_it_were_written_whole(
+    tmp_path, monkeypatch, reset, name
+):
+    """The file, also one to which a link leads, is replaced once, wherever the driver goes."""
+    file, whole, other = tmp_path / name, tmp_path / "whole.csv", tmp_path / "other"
+    other.mkdir()
+    monkeypatch.chdir(tmp_path)
+    if name != "log.csv":
+        Path("log.csv").symlink_to(file)
     axis, files = Axis(), set()
 
     def read():
-        files.update(file.stat().st_ino for file in tmp_path.glob("linked.csv"))
+        files.update(path.stat().st_ino for path in tmp_path.glob(name))
         return [axis.x]
 
-    axis.read = read
-    log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path=path)
-    assert len(files) == 1
+    axis.read, axis.begin = read, lambda trial: os.chdir(other)
+    log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path="log.csv")
     save_log(log, whole)
-    assert path.read_bytes() == whole.read_bytes() and path.is_symlink()
+    assert len(files) == 1 and not os.listdir(other) and file.read_bytes() == whole.read_bytes()
+    assert (tmp_path / "log.csv").is_symlink() == (name != "log.csv")
 
 
 def test_a_torn_trial_is_left_out_and_the_experiment_goes_on(tmp_path):
@@ -263,13 +246,14 @@ def room():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(tmp_path, room):
+@pytest.mark.parametrize("trials", [3, 5])
+def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(trials, tmp_path, room):
     path, whole, axis = tmp_path / "log.csv", tmp_path / "whole.csv", Axis()
     two = record(Axis(), LOOP, LAW, REFERENCE, trials=2, reset=False, path=whole)
     axis.safe = lambda: setattr(axis, "x", -1.0)
     room(whole.stat().st_size + 1000)  # bytes, in which there is room for a part of a trial
     with pytest.raises(OSError, match="File too large") as error:
-        record(axis, LOOP, LAW, REFERENCE, trials=5, reset=False, path=path)
+        record(axis, LOOP, LAW, REFERENCE, trials=trials, reset=False, path=path)
     assert axis.x == -1 and load_log(path).identical(two)
     assert path.read_bytes() == whole.read_bytes()
     assert error.value.trials.sizes["trial"] > 2
@@ -281,16 +265,6 @@ def test_a_log_that_another_program_writes_during_a_trial_is_left_alone(tmp_path
     with pytest.raises(FileExistsError, match="changed by another program") as error:
         record(axis, LOOP, LAW, REFERENCE, path=path)
     assert path.read_text() == "theirs" and error.value.trials.sizes["trial"] == 3
-
-
-def test_a_log_stays_where_it_was_begun_if_the_driver_changes_the_folder(tmp_path, monkeypatch):
-    (tmp_path / "other").mkdir()
-    monkeypatch.chdir(tmp_path)
-    axis = Axis()
-    axis.begin = lambda trial: os.chdir(tmp_path / "other")
-    log = record(axis, LOOP, LAW, REFERENCE, trials=3, path="log.csv")
-    assert not os.listdir(tmp_path / "other")
-    assert load_log(tmp_path / "log.csv").identical(log)
 
 
 def test_a_complete_log_in_a_folder_that_is_read_only_is_returned(tmp_path, monkeypatch):
@@ -333,19 +307,20 @@ def test_a_reading_of_one_output_may_be_a_number_and_of_several_may_not():
         law.next(v[:, 0], e[:, 0])
 
 
-@pytest.mark.parametrize("bad", [[np.nan], np.nan, [0.0, 0.0], None, "0.0"])
-def test_an_error_of_a_reading_says_in_which_trial_and_sample(bad):
+NO_READINGS = [[np.nan], np.nan, [0.0, 0.0], None, "0.0"]
+
+
+@pytest.mark.parametrize(
+    ("method", "bad", "name"),
+    [*(("read", bad, "reading of x") for bad in NO_READINGS), ("clock", np.nan, "clock")],
+)
+def test_an_error_of_a_reading_says_in_which_trial_and_sample(method, bad, name):
     """In its text, which a log of a service has without notes."""
-    axis, readings = Axis(), []
-
-    def read():
-        readings.append(axis.x)
-        return bad if len(readings) == 200 + 7 else [axis.x]
-
-    axis.read = read
+    axis, good = Axis(), iter([[0.0]] * 206 if method == "read" else np.arange(206) * 0.01)
+    setattr(axis, method, lambda: next(good, bad))
     with pytest.raises(RigError) as error:
         record(axis, LOOP, LAW, REFERENCE, pause=0)
-    assert str(error.value).startswith("trial 2, sample 7: reading of x ")
+    assert str(error.value).startswith(f"trial 2, sample 7: {name} ")
 
 
 def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tmp_path):
@@ -366,15 +341,6 @@ def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tm
             with pytest.raises(FileExistsError, match="is no regular file"):
                 write(path=path)
     assert {*os.listdir(tmp_path)} == names and axis.x == 0
-
-
-def test_a_clock_that_gives_no_number_ends_the_trial():
-    axis = Axis()
-    axis.clock = lambda: np.nan
-    with pytest.raises(
-        RigError, match=r"(?s)clock has 1 values that are not fin.*in trial 1, sample 1"
-    ):
-        record(axis, LOOP, LAW, REFERENCE)
 
 
 def test_raw_data_are_not_written_over(tmp_path):
