@@ -27,12 +27,6 @@ def lags(gain=1.0, pole=0.9):
     return control.ss(A, gain * np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
 
 
-def response_of(coefficients, omega):
-    """sum over k of C_k z^k, k = 1, 2, ..., at a sampling period of one."""
-    z = np.exp(1j * np.outer(omega, np.arange(1, 1 + coefficients.shape[-1])))
-    return np.einsum("ijk,nk->nij", coefficients, z)
-
-
 def sigma_of_M(omega, P, Q, L):
     """sigma_max(Q (I - P L)) by the book; each a model, a filter, or samples on omega."""
     P, Q, L = (
