@@ -21,6 +21,7 @@ from ilctools import (
     convergence,
     current_trial_loop,
     frequency_response,
+    least_gain,
     measured_response,
     multisine,
     record,
@@ -51,6 +52,7 @@ LAW_OF_TWO = replace(LAW, L=LearningFilter(0.3 * np.eye(2)[:, :, None], 1.0))
 MOVE, ZERO = 2 * np.sin(np.linspace(0, np.pi, 60)) ** 2, np.zeros((5, 2))
 TWO = np.stack([MOVE, 3 * MOVE], axis=1)
 LOG = with_law(run_trials(CURRENT, LAW, MOVE, None, 4), LAW.bound_to(CURRENT))
+TABLE, CONTINUOUS = control.frd(P.T, OMEGA), control.ss(-1.0, 1, 1, 0)
 AXES, TURNED = ClosedLoop(axes(), units={"x": "m"}), axes()[["y", "x"], :]
 OF_AXES = synthesise(AXES, zero_phase_butterworth(2, 1.0, 0.1), order=3, L_max=None)
 SCIPY_MODEL = signal.dlti([[0.9]], [[0.1]], [[1]], [[0]], dt=1.0)
@@ -84,6 +86,18 @@ REFUSED = {  # what the error says, and a call
     ),
     "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
     "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
+    # arrays and models of python-control
+    r"P.dt = 0 is continuous time: pass control.sample_system\(P, Ts\)": lambda: ClosedLoop(
+        CONTINUOUS, Ts=0.01
+    ),
+    "plant.dt = 0 is continuous time": lambda: run_trials(LOOP, LAW, MOVE, plant=CONTINUOUS),
+    "P is a table .* synthesise takes the table": lambda: ClosedLoop(TABLE),
+    r"P has shape \(1, 1, 300": lambda: synthesise(TABLE.frdata, Q, OMEGA),
+    r"plant has shape \(2, 2, 9": lambda: PAPER.frequency_response(OMEGA[:9], np.ones((2, 2, 9))),
+    r"signal has shape \(2, 30\), but must": lambda: IN_MS.apply(np.ones((2, 30))),
+    r"P has shape \(300,\), but must": lambda: synthesise(P.ravel(), Q, OMEGA),
+    "(?s:.*)as control.frd(?s:.*)log, omega, Ts": lambda: measured_response(TABLE.frdata),
+    "z holds values of type": lambda: IN_MS("here"),
     # numbers that no plant has
     r"P is singular at omega = 0.000314159 .* each output respond": lambda: synthesise(0 * MODEL),
     r"reference has values of 1e\+300 .*another unit": lambda: synthesise(
@@ -129,6 +143,9 @@ REFUSED = {  # what the error says, and a call
     "(?s:.*)infeasible(?s:.*)units, signs and the order": lambda: synthesise(
         [LAG, 1000 * LAG], LAW.Q, order=3, L_max=None
     ),
+    "Ts must be given": lambda: synthesise(measured_response(TABLE)),
+    "(?s:.*)L_max = 5": lambda: least_gain(MODEL, Q, L_max=5.0),
+    "(?s:.*)most in the way": lambda: synthesise([LAG, -LAG], M_max=0.4),  # B of both is zero
     # names, units, times
     "reference .*T1.*y1": lambda: run_trials(PAPER, LAW_OF_TWO, labelled("T1", "T2")),
     "law.labels = .*, loop.labels = .* in the same order": lambda: run_trials(
