@@ -18,7 +18,6 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.errors import SolverError
-from ilctools.evidence.certificate import Certificate
 from ilctools.synthesis import search
 
 LAG, SLOW = lag(0.5), lag()
@@ -47,13 +46,6 @@ def test_where_plants_differ_the_cutoff_is_lower_and_all_of_them_keep_M_max():
     omega = np.linspace(1e-4, np.pi, 10**4)
     for design, P in zip((alike, apart), kinds, strict=True):
         assert convergence(P, design.Q, design.filter, omega).gamma.max() <= 0.9
-
-
-def test_a_trial_that_grows_takes_half_the_cutoff_and_is_said(monkeypatch):
-    once = synthesise(SLOW).problem.lowpass.cutoff
-    monkeypatch.setattr(Certificate, "trial", (500, 1.5))
-    with pytest.warns(match=r"norm of a trial of 500 samples 1.5: its ends may grow"):
-        assert synthesise(SLOW).problem.lowpass.cutoff == pytest.approx(once / 2, rel=0.05)
 
 
 LINES = np.geomspace(0.01, 2, 40)
