@@ -143,6 +143,19 @@ def test_between_the_samples_the_radius_is_interpolated(model):
     assert ("proven" in certificate.peaks) == model
 
 
+def test_a_plant_that_diverges_between_the_samples_is_not_said_to_converge():
+    """A resonance at 60 rad/s that no design frequency sees."""
+    lag, Q = control.tf([10], [1, 10]), zero_phase_butterworth(2, 100.0, 0.01)
+    omega = np.geomspace(0.1, np.pi / 0.01, 60)
+    plant, resonant = (
+        control.sample_system(lag + mode, 0.01) for mode in (0, control.tf([7.2], [1, 0.06, 3600]))
+    )
+    design = synthesise(plant, Q, omega, M_max=0.97, order=10, band=(0.1, 20.0), everywhere=True)
+    assert not design.check(resonant).converges
+    samples = control.frd(resonant(np.exp(0.01j * omega)), omega, 0.01)
+    assert not design.check(samples).converges  # between them splines may miss as much
+
+
 @pytest.fixture(scope="module")
 def design():
     return of_lags(lag(), FINE)
