@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from plants import complex_normal
 from problems import posed
 
-from ilctools.evidence.optimality import lower_bound
+from ilctools.evidence.optimality import dual_norm, lower_bound
 
 
 @given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))
@@ -35,3 +35,13 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     change *= np.linalg.norm(U) / np.linalg.norm(change)
     moved = bound_of(U + change)
     assert bound > 0 and moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
+
+
+def test_the_dual_norm_is_the_nuclear_norm_with_the_best_shares():
+    N = complex_normal(np.random.default_rng(0), 9, 2, 3, 3)
+    N[0] = N[1, 0] = 0
+    norm = dual_norm(N.reshape(9, 6, 3))
+    shares = np.sqrt([(d, 1 - d) for d in np.linspace(0, 1, 401)])[:, None, :, None, None]
+    nuclear = np.linalg.norm((shares * N).reshape(-1, 9, 6, 3), "nuc", axis=(2, 3)).max(axis=0)
+    assert norm[0] == 0 and np.all(nuclear <= norm * (1 + 1e-12))
+    np.testing.assert_allclose(nuclear, norm, rtol=1e-4)  # of a grid for the shares
