@@ -15,12 +15,11 @@ import control
 import numpy as np
 import pandas as pd
 from kinds import S, delay, resonance, sampled
-from problems import posed, statement
+from problems import statement
 from runner import publish, run
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
-from ilctools.synthesis.design import certified
 
 PROBLEMS = 550
 FAMILIES = (
@@ -136,11 +135,6 @@ def ending(solve, *arguments, **options):
     return end, value, time.process_time() - start
 
 
-def everywhere(*arguments, **options):
-    """The problem of a model, with bounds at every frequency or not."""
-    return certified(posed(*arguments, **options), check=options["everywhere"])
-
-
 def peak(plants, Q, omega, Ts, order, structure, **_):
     """The least possible peak of sigma_max(M) without a bound on L, by CVXPY."""
     kind = {"order": order, "structure": structure, "objective": "peak"}
@@ -156,7 +150,7 @@ def outcome(number):
         if end == "certified" and number % 2 == 0:
             _, Q, omega, _ = arguments
             nominal, wide = (
-                ending(everywhere, model, Q, omega, **options, everywhere=flag)
+                ending(synthesise, model, Q, omega, **options, everywhere=flag)
                 for flag in (False, True)
             )
             row |= {"everywhere": wide[0], "ratio": wide[2] / nominal[2]}
