@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 from kinds import KINDS, bump
-from plants_of_peers import PLANTS, their_reference
 from runner import publish, run, table
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import solve
@@ -22,7 +21,6 @@ from scipy.optimize import minimize
 from scipy.stats.qmc import Sobol
 
 from ilctools import (
-    ClosedLoop,
     LearningFilter,
     NormOptimal,
     current_trial_loop,
@@ -35,7 +33,6 @@ from rodlib import heat_balance
 
 OFF = (1, -1, 2, -2)  # in ten percent
 TRIALS, NOISE = 10, 1e-3  # of the largest reference of each channel
-HEIGHTS = (1.0, 0.6, 0.8)  # of the references of the channels
 LINES = 2**12  # of the response of P, up to the Nyquist frequency
 POINTS, FURTHER = 7, 120  # 2^7 points in a box, and steps from the best of them
 BEST, WORST = 1.2, 3.0  # times the best of the others: the goals
@@ -101,16 +98,8 @@ def case_of(name):
     """The case of a name."""
     if name in BOARDS:
         return of_board(name)
-    if name in KINDS:
-        kind, *off = (KINDS[name](k) for k in (0, *OFF))
-        return Case(kind.given, [each.P for each in (kind, *off)], kind.reference, kind.cutoff)
-    plants, (cutoff, *_), (samples, *_) = zip(
-        *(PLANTS[name](k / 10) for k in (0, *OFF)), strict=True
-    )
-    reference = bump(samples, HEIGHTS[: plants[0].noutputs])
-    if name == "double_mass":
-        reference = their_reference()
-    return Case(ClosedLoop(plants[0]), plants, reference, cutoff)
+    kind, *off = (KINDS[name](k) for k in (0, *OFF))
+    return Case(kind.given, [each.P for each in (kind, *off)], kind.reference, kind.cutoff)
 
 
 @dataclass(frozen=True)
@@ -273,4 +262,4 @@ def table_of(rows):
 
 
 if __name__ == "__main__":
-    publish("peers", table_of(list(run(row, [*KINDS, *PLANTS, *BOARDS]))) + "\n")
+    publish("peers", table_of(list(run(row, [*KINDS, *BOARDS]))) + "\n")

@@ -85,12 +85,12 @@ def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatc
 
 def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():
     """Against the simulator of the toolbox: a plant of two channels that is off."""
-    case = peers.case_of("plate")
-    P, Q = case.plants[1], zero_phase_butterworth(2, case.cutoff, 1.0)
-    L = LearningFilter(np.stack([np.eye(2), -0.5 * np.eye(2)], axis=-1), 1.0)
+    case = peers.case_of("board-3s")
+    P, Q = case.plants[1], zero_phase_butterworth(2, case.cutoff, 3.0)
+    L = LearningFilter(np.stack([np.eye(2), -0.5 * np.eye(2)], axis=-1), 3.0)
     loop = ClosedLoop(case.plants[0])
     log = run_trials(loop, Law(Q, L), case.reference, plant=P, noise=case.noise)
     without_noise = rms(log.e + case.noise).values  # the log has what the sensors show
     np.testing.assert_allclose(case.errors(Q, L, 1), without_noise, rtol=1e-9)
-    np.testing.assert_array_equal(case.noise, peers.case_of("plate").noise)
-    assert np.std(case.noise[..., 1]) == pytest.approx(peers.NOISE * 0.6, rel=0.05)
+    np.testing.assert_array_equal(case.noise, peers.case_of("board-3s").noise)
+    assert np.std(case.noise[..., 1]) == pytest.approx(peers.NOISE * 6.0, rel=0.05)
