@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from rodlib.paper import ledger, published
 from rodlib.paper.comparison import PIXELS_PER_INCH
-from rodlib.paper.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
+from rodlib.paper.ledger import DIFFERS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT
 
@@ -60,14 +60,6 @@ def test_tracked_rows_follow_from_what_they_show():
     columns = ledger.COLUMNS[:-2]
     rows = book.frame()[columns].reset_index(drop=True)
     pd.testing.assert_frame_equal(rows, ROWS[columns], check_dtype=False)
-
-
-def test_the_page_counts_kinds_and_has_first_what_differs():
-    rows = ROWS.assign(verdict=[IN_WORDS] * (len(ROWS) - 3) + [DIFFERS] * 3)
-    counts = ledger.counted(rows)
-    assert counts[DIFFERS].sum() == 3 and counts[IN_WORDS].sum() == len(rows) - 3
-    verdicts = re.findall(r"\| \[(differs|in words)\]", ledger.markdown(rows))
-    assert verdicts == [DIFFERS] * 3 + [IN_WORDS] * (len(rows) - 3)
 
 
 def test_every_claim_has_a_kind_that_is_counted_or_named():
@@ -154,6 +146,11 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     assert {*rows.cell} == {cells("01-model")[-1].id}
     without = [entry.key for entry in published.claims().values() if not entry.criterion]
     assert rows[(rows.verdict == DIFFERS) & rows.key.isin(without)].key.tolist() == ["N[1,1]"]
+    differ = ledger.counted(rows)[DIFFERS].sum()
+    page = (root / "figures" / "ledger.md").read_text()
+    verdicts = re.findall(r"^\|.*\| \[([a-z ,]+)\]", page, re.MULTILINE)
+    assert [verdict == DIFFERS for verdict in verdicts] == sorted(rows.verdict == DIFFERS)[::-1]
+    assert differ == verdicts.count(DIFFERS) > 1
     rows.loc[0, "verdict"] = OTHER
     assert ledger.summary(rows).endswith(f"{OTHER}, and so not judged: 1\n")
     readme = (root / "README.md").read_text()

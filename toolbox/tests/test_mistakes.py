@@ -77,7 +77,6 @@ def labelled(*names):
 
 REFUSED = {  # what the error says, and a call
     # units, and what is exchanged
-    "(?s:.*)omega is in Hz": lambda: convergence(P, Q, IN_MS, OMEGA / (2 * np.pi)),
     "omega must be given: P is an array": lambda: convergence(P, Q, IN_MS),
     "omega must be given, as Q": lambda: synthesise(LOOP, np.ones(60)),
     "omega = Zero.*Q comes second": lambda: synthesise(LOOP, OMEGA, Q),

@@ -102,11 +102,6 @@ def test_a_certificate_fails_and_warns_from_its_limits_on(good, gap, M, L, anywh
     assert [one.code for one in estimate] == ["samples"] * (anywhere > 0.925)
 
 
-def test_next_to_zero_the_gap_is_relative_to_a_hundredth_of_the_idle(good):
-    perfect = replace(good, value=1e-9 * good.problem.idle, lower_bound=0.0)
-    assert perfect.gap == pytest.approx(1e-7)
-
-
 def test_learning_that_does_nothing_is_named():
     problem = posed(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((64, 2, 2))
