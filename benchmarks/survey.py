@@ -15,14 +15,11 @@ import control
 import numpy as np
 import pandas as pd
 from kinds import S, delay, resonance, sampled
-from problems import posed, statement
+from problems import statement
 from runner import publish, run
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
-from ilctools.evidence.certificate import certify
 from ilctools.models import frequency_response
-from ilctools.synthesis.design import certified
-from ilctools.synthesis.everywhere import solve_everywhere
 
 PROBLEMS = 550
 FAMILIES = (
@@ -138,14 +135,6 @@ def ending(solve, *arguments, **options):
     return end, value, time.process_time() - start
 
 
-def everywhere(*arguments, **options):
-    """The problem of a model, with bounds at every frequency or not."""
-    problem = posed(*arguments, **options)
-    if problem.bounds.everywhere:
-        return certified(problem)
-    return certify(problem, *solve_everywhere(problem))  # which may pass a bound between them
-
-
 def peak(plants, Q, omega, Ts, order, structure, **_):
     """The least possible peak of sigma_max(M) without a bound on L, by CVXPY."""
     kind = {"order": order, "structure": structure, "objective": "peak"}
@@ -161,7 +150,7 @@ def outcome(number):
         if end == "certified" and number % 2 == 0:
             _, Q, omega, _ = arguments
             nominal, wide = (
-                ending(everywhere, model, Q, omega, **options, everywhere=flag)
+                ending(synthesise, model, Q, omega, **options, everywhere=flag)
                 for flag in (False, True)
             )
             row |= {"everywhere": wide[0], "ratio": wide[2] / nominal[2]}

@@ -7,14 +7,11 @@ from types import SimpleNamespace
 
 import bench_synthesis
 import numpy as np
-import peers
 import pytest
 import regions
 import runner
 import survey
 import whole_way
-
-from ilctools import ClosedLoop, Law, LearningFilter, rms, run_trials, zero_phase_butterworth
 
 
 @pytest.fixture
@@ -81,16 +78,3 @@ def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatc
     assert rows[-1] == "| full | 60 | CVXPY, batched | 2.00 | 0.222 | 7 |" and len(rows) == 2 + 6
     problem = *bench_synthesis.paper_problem(60), "full"
     assert 0 <= bench_synthesis.added_memory(bench_synthesis.of_the_model, problem) < 500
-
-
-def test_laws_are_judged_by_what_trials_leave_with_the_same_noise():
-    """Against the simulator of the toolbox: a plant of two channels that is off."""
-    case = peers.case_of("plate")
-    P, Q = case.plants[1], zero_phase_butterworth(2, case.cutoff, 1.0)
-    L = LearningFilter(np.stack([np.eye(2), -0.5 * np.eye(2)], axis=-1), 1.0)
-    loop = ClosedLoop(case.plants[0])
-    log = run_trials(loop, Law(Q, L), case.reference, plant=P, noise=case.noise)
-    without_noise = rms(log.e + case.noise).values  # the log has what the sensors show
-    np.testing.assert_allclose(case.errors(Q, L, 1), without_noise, rtol=1e-9)
-    np.testing.assert_array_equal(case.noise, peers.case_of("plate").noise)
-    assert np.std(case.noise[..., 1]) == pytest.approx(peers.NOISE * 0.6, rel=0.05)

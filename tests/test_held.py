@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
-from rods import modal_model
 
-from rodlib import Rod, Specimen, exact_response, sampled_response
+from rodlib import Rod, exact_response, sampled_response
 
 
 def aliased(rod, omega, Ts, most=3000):
@@ -32,19 +31,3 @@ def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
     for part in (slice(-1), slice(-1, None)):  # heat flows, K/W; the air, K/K
         error = np.abs(found - expected)[:, :, part].max(axis=(1, 2))
         assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
-
-
-def test_the_sampled_rod_has_eight_zeros_outside_the_unit_circle():
-    """docs/proofs.md: the winding number of the determinant of its pulse responses."""
-    rod, n = Rod(), 2500
-    model = modal_model(Specimen(rod, (1.0,) * 4), 1.0, 400)
-    powers = np.diag(model.A) ** np.arange(n)[:, None]
-    g = (powers[:, None] * model.C) @ model.B[:, [0, 2]]
-    exact = exact_response(rod, [0.0])[0].real[:, [0, 2]]
-    np.testing.assert_allclose(g.sum(axis=0), exact, rtol=1e-3)
-    products = (np.convolve(g[:, 0, j], g[:, 1, 1 - j]) for j in (0, 1))
-    determinant = np.subtract(*products)[:n]
-    angle = np.linspace(0, 2 * np.pi, 100_001)
-    on_circle = np.polynomial.polynomial.polyval(np.exp(1j * angle) / 1.02, determinant)
-    assert abs(determinant[-1]) / 1.02**n < 1e-6 * np.abs(on_circle).min()
-    assert round(np.diff(np.unwrap(np.angle(on_circle))).sum() / (2 * np.pi)) == 8

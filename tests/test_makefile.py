@@ -18,7 +18,7 @@ from rodlib.paper.repository import ROOT
 pytestmark = pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
 
 TARGETS = re.findall(r"^(\w+):.*##", (ROOT / "Makefile").read_text(), re.MULTILINE)
-WORDS = {"measure": "WHAT=peers", "machines": "SEED=2"}  # that a recipe needs
+WORDS = {"measure": "WHAT=survey", "machines": "SEED=2"}  # that a recipe needs
 COMMAND = re.compile(
     r"(?:^|[;&]) *(?:PYTHONPATH=(?P<path>\S+) |\w+=\S+ )?\S*\.venv/bin/"
     r"(?P<program>[\w-]+) (?P<module>-m )?(?P<first>\S+)",

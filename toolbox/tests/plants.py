@@ -49,12 +49,6 @@ def coupled(count):
     return [lags(random.uniform(0.9, 1.1), random.uniform(0.85, 0.93)) for _ in range(count)]
 
 
-def response_of(coefficients, omega):
-    """sum over k of C_k z^k, k = 1, 2, ..., at a sampling period of one."""
-    z = np.exp(1j * np.outer(omega, np.arange(1, 1 + coefficients.shape[-1])))
-    return np.einsum("ijk,nk->nij", coefficients, z)
-
-
 def sigma_of_M(omega, P, Q, L):
     """sigma_max(Q (I - P L)) by the book; each a model, a filter, or samples on omega."""
     P, Q, L = (

@@ -29,7 +29,7 @@ COMPARED = 500  # frequencies, at most: n of them take n^2 numbers of memory
 # Of 18 plants 8 and 16 leave the same but for noise, of which 16 learns more.
 CLOSE = 8
 # of the gain that inverts P at low frequencies, there: beyond, what L gains is noise. Of the 32
-# plants of `make measure WHAT=peers` 29 are within 1.2 of the best law without it, 31 with 15 or 20
+# plants in figures/performance.md 29 are within 1.2 of the best law without it, 31 with 15 or 20
 STATIC = 20
 # Low frequencies end at this share of the cut-off. With 1/50 to 1/30 the same 31 are within 1.2.
 # With the gain at rest in its place, 30; and of a plant whose time constants are 1 : 10,000, trial

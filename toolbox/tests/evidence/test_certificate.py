@@ -105,11 +105,6 @@ def test_a_certificate_fails_and_warns_from_its_limits_on(good, gap, M, L, anywh
     assert [one.code for one in estimate] == ["samples"] * (anywhere > 0.925)
 
 
-def test_next_to_zero_the_gap_is_relative_to_a_hundredth_of_the_idle(good):
-    perfect = replace(good, value=1e-9 * good.problem.idle, lower_bound=0.0)
-    assert perfect.gap == pytest.approx(1e-7)
-
-
 def test_learning_that_does_nothing_is_named():
     problem = posed(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((64, 2, 2))
@@ -147,22 +142,16 @@ def test_between_the_samples_the_radius_is_interpolated(model):
 
 
 def test_a_plant_that_diverges_between_the_samples_is_not_said_to_converge():
-    """A resonance that no design frequency sees; of one channel |eigenvalue| is sigma_max."""
+    """A resonance at 60 rad/s that no design frequency sees."""
     lag, Q = control.tf([10], [1, 10]), zero_phase_butterworth(2, 100.0, 0.01)
-    omega, asked = np.geomspace(0.1, np.pi / 0.01, 60), {"order": 10, "band": (0.1, 20.0)}
-    plant = control.sample_system(lag, 0.01)
-    design = synthesise(plant, Q, omega, M_max=0.97, everywhere=True, **asked)
-    said = set()
-    for w in np.linspace(55, 65, 3):
-        mode = control.tf([0.002 * w**2], [1, 0.001 * w, w**2])
-        plant = control.sample_system(lag + mode, 0.01)
-        found = design.check(plant)
-        dense = np.union1d(np.linspace(0.1, 314, 4000), np.linspace(w - 0.2, w + 0.2, 2001))
-        assert found.converges == (convergence(plant, Q, design.filter, dense).gamma < 1)
-        said.add(found.converges)
-        samples = control.frd(plant(np.exp(0.01j * omega)), omega, 0.01)
-        assert not design.check(samples).converges  # between them splines may miss as much
-    assert False in said
+    omega = np.geomspace(0.1, np.pi / 0.01, 60)
+    plant, resonant = (
+        control.sample_system(lag + mode, 0.01) for mode in (0, control.tf([7.2], [1, 0.06, 3600]))
+    )
+    design = synthesise(plant, Q, omega, M_max=0.97, order=10, band=(0.1, 20.0), everywhere=True)
+    assert not design.check(resonant).converges
+    samples = control.frd(resonant(np.exp(0.01j * omega)), omega, 0.01)
+    assert not design.check(samples).converges  # between them splines may miss as much
 
 
 @pytest.fixture(scope="module")

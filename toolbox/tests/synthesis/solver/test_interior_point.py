@@ -112,32 +112,6 @@ def test_a_perfect_filter_is_certified(T, order, gain):
     assert design.value - design.certificate.lower_bound <= 1e-9 * idle
 
 
-def small_program(m, structure, objective):
-    """With a radius and two more plants."""
-    P, Q, omega = random_response(m, m)
-    choices = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
-    choices |= {"structure": structure, "objective": objective}
-    plants, radius = [P, P * 1.05, P * 0.96], np.full(len(omega), 0.05)
-    problem = posed(plants, Q, omega, 1.0, uncertainty=radius, **choices)
-    return formulate(problem, [1, 2, 1], [3, 3, 7]).program
-
-
-PROGRAMS = [(1, "full", "sum"), (2, "diagonal", "sum"), (3, "full", "peak")]
-
-
-@pytest.mark.parametrize("kind", PROGRAMS)
-def test_a_whole_step_meets_all_equations_that_are_linear(kind):
-    """Then the gap is the complementarity."""
-    program = small_program(*kind)
-    p = interior_point.begin(program, np.zeros((len(program.rows), 3)))
-    q = p.moved(interior_point.Newton(p).direction(0.0), 1.0, 1.0)
-    size = max(np.abs(Y).max() for Y in q.Y)
-    assert np.abs(q.stationarity).max() < 1e-9 * size
-    assert q.objective - q.dual_value == pytest.approx(
-        q.complementarity, abs=1e-9 * p.complementarity
-    )
-
-
 def test_a_failure_is_not_called_infeasible(monkeypatch):
     P, Q, omega = random_response(1, 2)
     program = formulate(posed(P, Q, omega, 1.0, order=3, L_max=5.0, band=(0.01, 0.3))).program
