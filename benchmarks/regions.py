@@ -312,7 +312,7 @@ def designed(P, plants):
         L = synthesise(P, Q, omega, band=(low, 0.3), **DESIGN).filter
     except InfeasibleError:
         return False, False
-    return True, convergence(response(plants, omega), Q, L, omega).gamma <= DESIGN["M_max"]
+    return True, convergence(response(plants, omega), Q, L, omega).rate <= DESIGN["M_max"]
 
 
 def judged(kind, seed):

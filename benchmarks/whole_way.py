@@ -37,7 +37,7 @@ def go(row, kind, path, trials):
     design = synthesise(kind.given, Q)
     row["rate promised"] = design.certificate.all_M
     try:
-        row["on the rig"] = design.check(kind.P).gamma
+        row["on the rig"] = design.check(kind.P).rate
     except ValueError as error:  # no loop that is stable
         row["said"].append(f"{error}")
     log = record(Driver(kind), loop, design.law(), reference, trials=trials, path=path)

@@ -185,6 +185,6 @@ def test_where_P_passes_nothing_the_rest_is_learned_and_print_says_where():
     design = synthesise(P, low)
     assert "P passes nothing at 0 rad/s" in repr(design) and design.certificate.failures == []
     above = np.linspace(design.omega[0], np.pi / 1e-3, 20_000)
-    assert convergence(P, low, design.filter, above).gamma < 0.5
+    assert convergence(P, low, design.filter, above).rate < 0.5
     with pytest.raises(ValueError, match=r"P is singular at omega = 0 .* leave such"):
         synthesise(frequency_response(P, omega), low, omega)

@@ -51,9 +51,9 @@ DESIGN = synthesise(MODEL, Q, order=3)
     ],
 )
 def test_axes_of_P_are_found_by_their_names(table):
-    gamma = convergence(table, Q, L, OMEGA).gamma
-    assert gamma == convergence(P, Q, L, OMEGA).gamma
-    assert gamma != convergence(P.swapaxes(1, 2), Q, L, OMEGA).gamma
+    gamma = convergence(table, Q, L, OMEGA).rate
+    assert gamma == convergence(P, Q, L, OMEGA).rate
+    assert gamma != convergence(P.swapaxes(1, 2), Q, L, OMEGA).rate
 
 
 def test_frequencies_of_P_Q_and_the_radius_serve_as_omega():
@@ -67,7 +67,7 @@ def test_frequencies_of_P_Q_and_the_radius_serve_as_omega():
         assert np.array_equal(response.omega, OMEGA)
         assert np.allclose(response.P, [P, 0.98 * P][: len(response.P)], rtol=1e-12, atol=0)
     assert response.signals.labels == ["x", "y", "set x", "set y"]
-    assert DESIGN.check(TABLE).gamma == DESIGN.check(P, OMEGA).gamma
+    assert DESIGN.check(TABLE).rate == DESIGN.check(P, OMEGA).rate
 
 
 def test_scale_and_amplitude_are_matched_by_name():

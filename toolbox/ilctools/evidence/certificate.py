@@ -130,7 +130,7 @@ class Certificate:
         return Convergence(
             problem.omega,
             self.worst.sigma,
-            gamma=self.rate,
+            rate=self.rate,
             at=float(self.highest_peak.omega),
             spectral_radius=float(own.spectral_radius.max()),
             proven=self.proven,

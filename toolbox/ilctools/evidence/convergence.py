@@ -28,17 +28,17 @@ class Convergence:
 
     omega: np.ndarray  # (n,), rad/s
     sigma: np.ndarray  # (n,): sigma_max(M), by which the error shrinks there at least
-    gamma: float  # Lemma 1: the largest of them
-    at: float  # the frequency of gamma, rad/s; the lowest of those that are tied
+    rate: float  # the gamma of Lemma 1: the largest of them
+    at: float  # the frequency of the rate, rad/s; the lowest of those that are tied
     spectral_radius: float  # largest |eigenvalue of M|
-    proven: bool = False  # whether gamma holds at all frequencies
+    proven: bool = False  # whether the rate holds at all frequencies
     uncertain: bool = False  # whether P may be another, for which the trials diverge
     assumptions: tuple[str, ...] = ()  # what P and its radius rest on
 
     @property
     def monotone(self) -> bool:
         """Whether every trial brings the error nearer to its limit (Lemma 1)."""
-        return bool(np.max(self.gamma) < 1)
+        return bool(np.max(self.rate) < 1)
 
     @property
     def converges(self) -> bool:
@@ -63,8 +63,8 @@ class Convergence:
         return np.apply_along_axis(log_mean, -1, self.sigma, omega, band)[()]
 
     def __repr__(self):
-        gamma, radius = np.max(self.gamma), np.max(self.spectral_radius)
-        at = np.ravel(self.at)[np.argmax(self.gamma)]
+        rate, radius = np.max(self.rate), np.max(self.spectral_radius)
+        at = np.ravel(self.at)[np.argmax(self.rate)]
         if self.monotone:
             how = "converges monotonically"
         elif self.converges:
@@ -73,7 +73,7 @@ class Convergence:
             how = "diverges" if radius >= 1 else "need not converge"
         where = "at all frequencies" if self.proven else "not proven between samples"
         line = (
-            f"{how}: sigma_max(M) is {gamma:.4f} at most, at {at:.4g} rad/s ({where}), "
+            f"{how}: sigma_max(M) is {rate:.4f} at most, at {at:.4g} rad/s ({where}), "
             f"|eigenvalue of M| {radius:.4f}"
         )
         if how == "diverges":  # slowly, where trials are short against it
@@ -98,8 +98,9 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     Returns
     -------
     Convergence
-        `gamma` below one: the error converges monotonically (Lemma 1). `spectral_radius` below
-        one: it converges, but may grow before. Of one channel, the two are equal.
+        `rate`, the gamma of Lemma 1, below one: the error converges monotonically.
+        `spectral_radius` below one: it converges, but may grow before. Of one channel, the two are
+        equal.
 
     See Also
     --------
@@ -111,7 +112,7 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     >>> from ilctools import LearningFilter, convergence, zero_phase_butterworth
     >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
     >>> result = convergence(P, zero_phase_butterworth(2, 0.1, 1.0), L)
-    >>> result.monotone, round(float(result.gamma), 3)
+    >>> result.monotone, round(float(result.rate), 3)
     (True, 0.201)
     """
     arguments.instance("L", L, LearningOperator)
@@ -135,7 +136,7 @@ def from_responses(omega, P, Q, L) -> Convergence:
     return Convergence(
         omega,
         sigma,
-        gamma=sigma.max(axis=-1),
+        rate=sigma.max(axis=-1),
         at=np.asarray(omega)[tied(sigma.T).argmax(axis=0)],
         spectral_radius=radius.max(axis=-1),
     )

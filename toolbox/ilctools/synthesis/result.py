@@ -87,7 +87,7 @@ class Synthesis:
         Returns
         -------
         Convergence
-            Print it. `gamma` is the rate of Lemma 1, the worst of all plants; `spectral_radius`
+            Print it. `rate` is the gamma of Lemma 1, the worst of all plants; `spectral_radius`
             below one says that the trials converge all the same. For another Q than that of the
             design: :func:`convergence`.
         """

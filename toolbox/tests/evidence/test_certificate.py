@@ -75,7 +75,7 @@ assumed: between omega, cubic splines miss P by no more than they miss samples t
 over log omega"""
     assert tables.details == expected
     high = BUTTERWORTH.frequency_response([2.0])[0]
-    assert high < design.rate == pytest.approx(design.check(P, omega).gamma, rel=1e-12)
+    assert high < design.rate == pytest.approx(design.check(P, omega).rate, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -164,14 +164,14 @@ def test_on_a_model_it_is_proven(design, gain, monotone):
     P = lag(0.93, gain)
     result, as_array = design.check(P), design.check(frequency_response(P, FINE))
     gamma, omega = peak_of_M(P, design.filter, BUTTERWORTH)
-    assert result.gamma == pytest.approx(gamma, rel=1e-8) and result.proven
+    assert result.rate == pytest.approx(gamma, rel=1e-8) and result.proven
     assert result.at == pytest.approx(omega, rel=1e-3)
     assert result.monotone == monotone == result.converges
     assert repr(result).startswith("converges monotonically" if monotone else "diverges")
     assert result.assumptions == ()
-    assert as_array.gamma == pytest.approx(gamma, rel=1e-3) and not as_array.proven
+    assert as_array.rate == pytest.approx(gamma, rel=1e-3) and not as_array.proven
     assert result.spectral_radius == pytest.approx(gamma, rel=2e-6)  # of one channel
-    assert as_array.spectral_radius == pytest.approx(as_array.gamma, rel=1e-3)
+    assert as_array.spectral_radius == pytest.approx(as_array.rate, rel=1e-3)
 
 
 def test_with_two_channels_trials_may_converge_and_not_monotonically():
@@ -184,7 +184,7 @@ def test_with_two_channels_trials_may_converge_and_not_monotonically():
         convergence(coupled, BUTTERWORTH, design.filter, omega)
         for omega in (FINE, np.linspace(0.01, 3, 20_000))
     )
-    assert result.gamma >= on_grid.gamma > 1
+    assert result.rate >= on_grid.rate > 1
     assert on_grid.spectral_radius < result.spectral_radius <= dense.spectral_radius
     assert not result.monotone and result.converges
     unsure = design.check(coupled, uncertainty=np.full(250, 1e-3))
@@ -196,14 +196,14 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop, Q):
     design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 250), **paper_choices())
     all_M, P = design.certificate.all_M, loop.frequency_response(own)
     result = design.check(control.frd(np.moveaxis(P, 0, -1), own))
-    assert result.gamma == pytest.approx(all_M, rel=1e-2)
-    assert result.gamma >= convergence(P, Q, design.filter, own).gamma
+    assert result.rate == pytest.approx(all_M, rel=1e-2)
+    assert result.rate >= convergence(P, Q, design.filter, own).rate
     unsure = design.check(P, own, uncertainty=np.full(70, 1e-3))
-    assert result.gamma < unsure.gamma and not unsure.proven
+    assert result.rate < unsure.rate and not unsure.proven
 
 
 def test_samples_of_Q_are_splined_for_another_plant():
     design = of_lags(lag(), FINE, BUTTERWORTH.frequency_response(FINE))
     for omega in (None, FINE[::2]):
-        gamma = design.check(lag(), omega).gamma
+        gamma = design.check(lag(), omega).rate
         assert gamma == pytest.approx(design.certificate.all_M, rel=1e-4)

@@ -41,5 +41,5 @@ def test_rate_and_spectral_radius_are_those_of_numpy(m):
     np.testing.assert_allclose(result.spectral_radius, radius, rtol=1e-9)
     sigma = np.linalg.norm(M, 2, axis=(2, 3))
     np.testing.assert_allclose(result.sigma, sigma, rtol=1e-9)
-    np.testing.assert_allclose(result.gamma, sigma.max(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(result.rate, sigma.max(axis=1), rtol=1e-9)
     assert result.at[0] == omega[sigma[0].argmax()]

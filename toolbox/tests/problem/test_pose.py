@@ -58,7 +58,7 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
     for name in ("value", "lower_bound", "all_M", "all_L"):
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
-    assert other.check([P, P]).gamma == pytest.approx(one.certificate.rate, rel=1e-5)
+    assert other.check([P, P]).rate == pytest.approx(one.certificate.rate, rel=1e-5)
     np.testing.assert_allclose(*weights, rtol=1e-9)
 
 

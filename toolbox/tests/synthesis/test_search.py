@@ -55,7 +55,7 @@ def test_a_table_alone_is_enough():
     for P in (table, measured_response(table, uncertainty=0.02 + 0.1 * LINES)):
         design = synthesise(P)
         assert 0.3 < design.problem.lowpass.cutoff < 3 and design.certificate.failures == []
-        assert design.check(LAG).gamma < 0.9
+        assert design.check(LAG).rate < 0.9
 
 
 def test_the_least_gain_of_a_lag_is_that_of_cvxpy():
