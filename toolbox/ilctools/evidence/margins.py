@@ -37,6 +37,7 @@ from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.problem import Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
+from ilctools.response.samples import SAME
 
 GAINS = np.array([1.0, 10.0])  # the last is where the search ends, as of the following ones
 # time scales: the first steps are as small as a lightly damped antiresonance asks for
@@ -132,7 +133,7 @@ def _filters(problem, L) -> Filters:
     turn = float(phase(L.poles, np.array([np.pi]))[0])
     omega = phase_grid(poles, max(STEP, turn / MOST)) / problem.Ts
     ends = _ends(problem.response)[0], np.pi / problem.Ts
-    omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
+    omega = _apart([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
     return Filters(omega, *(CubicSpline(omega, f.frequency_response(omega)) for f in (lowpass, L)))
 
 
@@ -148,10 +149,12 @@ class Perturbed:
             own = subdivided(response.omega, PARTS)
         else:
             own = phase_grid([model.poles()], STEP) / response.Ts
-        omega = np.unique([*filters.omega, *own, *self.jumps, np.nextafter(last, np.inf)])
+        knots = _apart([*filters.omega, *own])
+        omega = np.unique([*knots, *self.jumps, np.nextafter(last, np.inf)])
         self.omega = omega[(omega >= self.ends[0]) & (omega <= filters.omega[-1])]
         P, self.radius = response.anywhere(number, self.omega)
-        known = self.omega <= self.ends[1]
+        # not beside a jump, see `_apart`
+        known = (self.omega <= self.ends[1]) & np.isin(self.omega, knots)
         self.P = CubicSpline(self.omega[known], P[known])
 
     def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
@@ -166,6 +169,12 @@ class Perturbed:
         radius = gain * np.interp(there, self.omega, self.radius) + radius
         sigma = within_radius(P, self.filters.Q(omega), self.filters.L(omega), radius, LEVEL)
         return highest(omega, sigma, self.jumps / slower)
+
+
+def _apart(omega):
+    """Frequencies without repetition: between two that are the same, a slope would be rounding."""
+    omega = np.unique(omega)
+    return omega[np.append(True, np.diff(omega) > SAME * omega[1:])]
 
 
 def _ends(response):
