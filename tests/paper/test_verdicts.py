@@ -17,7 +17,8 @@ from rodlib.paper.ledger import DIFFERS, IN_WORDS, REPRODUCED, verdict
 from rodlib.paper.repository import ROOT
 
 PAGE = (ROOT / "figures" / "performance.md").read_text("utf-8")
-LINE = re.compile(r"^\| \[`(\w+)`\]\(ledger\.md#\1\) \| .* \| (.*) \| (.*) \| (.*) \|$", re.M)
+LINK = r"\[`(\w+)`\]\(\.\./figures/ledger\.md#\1\)"
+LINE = re.compile(rf"^\| {LINK} \| .* \| (.*) \| (.*) \| (.*) \|$", re.M)
 FOUND = {key: cells for key, *cells in LINE.findall(PAGE)}
 ASSUMED = ROWS[ROWS.kind == "assumed"].set_index("key")
 
