@@ -25,6 +25,7 @@ ROLES = {  # coordinates that name signals, and what a log calls them all
     "control": "controls",
     "source": "disturbances",
     "sensor": "measured",
+    "input": "inputs",
 }
 
 

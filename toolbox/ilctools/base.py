@@ -55,27 +55,27 @@ EXACT = 1e-7  # relative error of the factors that is rounding
 class RegularisedInverse:
     """B = (P* P + b^2)^-1 P* E of models, with the ends of a trial.
 
-    On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T E, of the channels divided by `scale`: P is in
-    these units, B is not. P has m inputs and p outputs. Without E it is one model with p = m.
+    On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T E, of inputs divided by `scale` and outputs by
+    `scale_y`: P is in these units, B is not. Without E it is of one model.
     """
 
     P: control.StateSpace
     b: float
-    scale: np.ndarray
-    E: np.ndarray | None = None  # (p, m), see :func:`.pooled.pooled`; the identity of one model
+    scale: np.ndarray  # (m,)
+    # (outputs of P, p), see :func:`.pooled.pooled`; the identity of one model
+    E: np.ndarray | None = None
+    scale_y: np.ndarray | None = None  # (p,); that of the inputs where it is left out
 
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
         arguments.stable("P", P.poles())
-        if self.E is None and P.noutputs != P.ninputs:
-            raise ValueError(
-                f"P has {P.noutputs} outputs and {P.ninputs} inputs, but must have as many outputs "
-                "as inputs: pass E, if it is several models one below the other"
-            )
         scale = arguments.array("scale", self.scale, (P.ninputs,))
-        E = np.eye(P.ninputs) if self.E is None else self.E
-        E = arguments.array("E", E, (P.noutputs, P.ninputs))
-        vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale, E=E)
+        E = np.eye(P.noutputs) if self.E is None else self.E
+        E = arguments.array("E", E, (P.noutputs, "p"))
+        scale_y = scale if self.scale_y is None else self.scale_y
+        scale_y = arguments.array("scale_y", scale_y, (E.shape[1],))
+        b = arguments.positive("b", self.b)
+        vars(self).update(P=P, b=b, scale=scale, E=E, scale_y=scale_y)
 
     @property
     def Ts(self) -> float:
@@ -83,18 +83,23 @@ class RegularisedInverse:
         return self.P.dt
 
     @property
-    def channels(self) -> int:
-        """Number m of inputs."""
+    def rows(self) -> int:
+        """Number m of inputs of P."""
         return self.P.ninputs
+
+    @property
+    def columns(self) -> int:
+        """Number p of outputs of each plant."""
+        return self.E.shape[1]
 
     @cached_property
     def poles(self) -> np.ndarray:
         """Those inside the unit circle, of the loop that K closes; of P / b, whose b is one."""
         P = self.P * (1 / self.b)  # or the units of y would decide which digits are lost
         (A, B, C), D = balanced(P), P.D
-        R, S = D.T @ D + np.eye(self.channels), C.T @ D
+        R, S = D.T @ D + np.eye(self.rows), C.T @ D
         K, _, poles = control.dlqr(A, B, C.T @ C, R, S)
-        factor = control.ss(A, B, K, np.eye(self.channels), self.Ts)  # F, but for a constant
+        factor = control.ss(A, B, K, np.eye(self.rows), self.Ts)  # F, but for a constant
         omega = np.append(np.abs(np.angle(poles)), [0, np.pi]) / self.Ts
         F, P = (frequency_response(model, omega) for model in (factor, P))
         of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + 1, axis=1)
@@ -108,19 +113,19 @@ class RegularisedInverse:
         return Composition(self, K)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """B far from the ends of a trial, at `omega` (rad/s), (n, channels, channels), complex."""
+        """B far from the ends of a trial, at `omega` (rad/s), (n, m, p), complex."""
         P = frequency_response(self.P, omega)
-        return regularised_inverse(P, self.b) @ self.E * (self.scale[:, None] / self.scale)  # (B)
+        return regularised_inverse(P, self.b) @ self.E * (self.scale[:, None] / self.scale_y)  # (B)
 
     def apply(self, signal) -> np.ndarray:
-        """Filter a signal of shape (..., time, channels)."""
+        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
-        return self.scale / self.b * of_trial.apply(signal / self.scale @ self.E.T)
+        return self.scale / self.b * of_trial.apply(signal / self.scale_y @ self.E.T)
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
-        return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale / self.b
+        return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale_y / self.b
 
 
 @lru_cache(maxsize=4)
@@ -130,18 +135,20 @@ def _norm_optimal(base, samples):
 
 
 def quadratic_law(P, b) -> np.ndarray:
-    """B, (n, m, m), of plants by their responses, (p, n, m, m)."""
-    E = isometry(len(P), P.shape[-1])
+    """B, (n, m, p), of plants by their responses, (plants, n, p, m)."""
+    E = isometry(len(P), P.shape[-2])
     return regularised_inverse(np.concatenate(P, axis=1) / np.sqrt(len(P)), b) @ E  # (B)
 
 
-def in_units(L, scale):
-    """An operator on channels divided by `scale`, in the channels' own units."""
+def in_units(L, of_v, of_y):
+    """An operator from outputs divided by `of_y` to inputs divided by `of_v`, in their own units."""
     if isinstance(L, Composition):
-        return in_units(L.B, scale) @ in_units(L.K, scale)
+        # K stands between signals of one kind, which its side of the plant has
+        of_K = of_y if L.K_first else of_v
+        return replace(L, B=in_units(L.B, of_v, of_y), K=in_units(L.K, of_K, of_K))
     if isinstance(L, RegularisedInverse):
-        return replace(L, scale=scale)
-    return replace(L, coefficients=L.coefficients * (scale[:, None] / scale)[..., None])
+        return replace(L, scale=of_v, scale_y=of_y)
+    return replace(L, coefficients=L.coefficients * (of_v[:, None] / of_y)[..., None])
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
@@ -153,7 +160,7 @@ def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | No
                 break
         else:
             return None
-        base = RegularisedInverse(P, b, np.ones(P.ninputs), E)
+        base = RegularisedInverse(P, b, np.ones(P.ninputs), E, np.ones(E.shape[1]))
         return base if len(base.poles) else None  # which rounding may decide
     except (np.linalg.LinAlgError, ValueError):
         return None
@@ -191,7 +198,7 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
 
 
 def _shortened(B, counts, farthest):
-    """Coefficients of q^-N ... q^N of B, (2 N + 1, m, m), and N, the least power of two.
+    """Coefficients of q^-N ... q^N of B, (2 N + 1, m, p), and N, the least power of two.
 
     What is left out is NEGLIGIBLE, at each frequency times what `counts` there.
     """

@@ -181,14 +181,18 @@ class LearningOperator(Protocol):
         """Sampling period, s."""
 
     @property
-    def channels(self) -> int:
-        """Number m of channels."""
+    def rows(self) -> int:
+        """Number m of signals that it makes, one for each learned input of the plant."""
+
+    @property
+    def columns(self) -> int:
+        """Number p of errors that it takes, one for each output of the plant."""
 
     def frequency_response(self, omega) -> np.ndarray:
-        """At `omega` (rad/s), shape (n, channels, channels), complex."""
+        """At `omega` (rad/s), shape (n, m, p), complex."""
 
     def apply(self, signal) -> np.ndarray:
-        """Filter a signal of shape (..., time, channels)."""
+        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +204,7 @@ class LearningFilter:
 
     Attributes
     ----------
-    coefficients : ndarray, shape (m, m, order)
+    coefficients : ndarray, shape (m, p, order)
         L_ij(q) = sum_k coefficients[i, j, k - first] q^k, where q looks one sample ahead.
     Ts : float
         Sampling period, s.
@@ -231,7 +235,7 @@ class LearningFilter:
 
     def __post_init__(self):
         c = labels.with_axes("coefficients", self.coefficients, AXES_OF_L)
-        c = arguments.array("coefficients", c, ("m", "m", "order"))
+        c = arguments.array("coefficients", c, ("m", "p", "order"))
         Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))
         first = arguments.whole("first", self.first, -FARTHEST, FARTHEST)
@@ -239,9 +243,14 @@ class LearningFilter:
         vars(self).update(coefficients=c, Ts=Ts, first=first)
 
     @property
-    def channels(self) -> int:
-        """Number m of channels."""
+    def rows(self) -> int:
+        """Number m of signals that it makes."""
         return len(self.coefficients)
+
+    @property
+    def columns(self) -> int:
+        """Number p of errors that it takes."""
+        return self.coefficients.shape[1]
 
     @property
     def order(self) -> int:
@@ -258,13 +267,15 @@ class LearningFilter:
         """One at zero for each sample that it looks away."""
         return np.zeros(max(abs(self.first), abs(self.last)))
 
-    def __matmul__(self, K: "LearningFilter") -> "LearningFilter":
-        """The filter B K, of B and another one, with the ends of that."""
+    def __matmul__(self, K: "LearningOperator") -> "Filter":
+        """The filter B K, with the ends of K; where the other one is a base B, K B."""
+        if not isinstance(K, LearningFilter):
+            return Composition(K, self, K_first=False)
         products = oaconvolve(self.coefficients[:, :, None], K.coefficients[None], axes=-1)
         return LearningFilter(products.sum(axis=1), K.Ts, K.ends, self.first + K.first)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
+        """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, p), complex."""
         angles = self.Ts * arguments.row("omega", omega)
         shifts = time_shifts(angles, min(self.order, LONG))
         if self.order > LONG:
@@ -286,25 +297,25 @@ class LearningFilter:
 
         Returns
         -------
-        ndarray, shape (m, m, ...), complex
+        ndarray, shape (m, p, ...), complex
             Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
         """
         z = arguments.array("z", z, (...,), complex)
         shifts = z[..., None] ** np.arange(self.first, self.last + 1)
         response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
-        return response[0, 0] if self.channels == 1 else response
+        return response[0, 0] if self.rows == self.columns == 1 else response
 
     def apply(self, signal) -> np.ndarray:
-        """Filter a signal of shape (..., time, m)."""
-        signal = arguments.array("signal", signal, (..., "time", self.channels))
+        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
+        signal = arguments.array("signal", signal, (..., "time", self.columns))
         before = max(0, -self.first)
         line = _continued(signal, before, max(0, self.last), self.ends)
         start = before + self.first  # of the line, for the first sample of the trial
         if self.order <= LONG:
             # a window of samples, channels side by side, is one piece of the line: no copies
-            m, line = self.channels, line.reshape(*line.shape[:-2], -1)
-            windows = sliding_window_view(line, m * self.order, axis=-1)[..., ::m, :]
-            result = windows @ self.coefficients.T.reshape(-1, m)
+            p, line = self.columns, line.reshape(*line.shape[:-2], -1)
+            windows = sliding_window_view(line, p * self.order, axis=-1)[..., ::p, :]
+            result = windows @ self.coefficients.T.reshape(-1, self.rows)
         else:
             taps = self.coefficients.T[::-1]  # (k, j, i), from the last
             taps = taps[(None,) * (line.ndim - 2)]
@@ -313,7 +324,7 @@ class LearningFilter:
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
-        signal = arguments.array("signal", signal, (..., "time", self.channels))
+        signal = arguments.array("signal", signal, (..., "time", self.rows))
         flipped = self.coefficients.swapaxes(0, 1)[..., ::-1]
         mirrored = LearningFilter(flipped, self.Ts, "zero", -self.last)
         before = max(0, -self.first)
@@ -323,16 +334,29 @@ class LearningFilter:
 
 @dataclass(frozen=True)
 class Composition:
-    """L = B K: B acts on what the filter K has made of the error within the trial.
+    """L = B K: B acts on what the filter K has made of the error within the trial; or L = K B.
 
-    Made by ``B @ K``, unless B is a LearningFilter itself: then B K is one, too.
+    Made by ``B @ K`` or ``K @ B``, unless B is a LearningFilter itself: then B K is one, too.
     """
 
     B: LearningOperator
     K: LearningFilter
+    K_first: bool = True  # whether K acts on the error, and B on what K makes
 
     def __post_init__(self):
-        check_learning(self.B, self.K.channels, "B")
+        check_learning(self.B, "B")
+        taken, given = (self.B.columns, self.K.rows) if self.K_first else (self.K.columns, self.B.rows)
+        if taken != given:
+            product = "B K" if self.K_first else "K B"
+            raise ValueError(
+                f"L = {product} is none: B has {self.B.rows} rows and {self.B.columns} columns, "
+                f"K {self.K.rows} and {self.K.columns}"
+            )
+
+    @property
+    def factors(self) -> tuple[LearningOperator, LearningOperator]:
+        """The two of them, the one that acts last first."""
+        return (self.B, self.K) if self.K_first else (self.K, self.B)
 
     @property
     def Ts(self) -> float:
@@ -340,9 +364,14 @@ class Composition:
         return self.K.Ts
 
     @property
-    def channels(self) -> int:
-        """Number m of channels."""
-        return self.K.channels
+    def rows(self) -> int:
+        """Number m of signals that it makes."""
+        return self.factors[0].rows
+
+    @property
+    def columns(self) -> int:
+        """Number p of errors that it takes."""
+        return self.factors[1].columns
 
     @property
     def order(self) -> int:
@@ -355,16 +384,19 @@ class Composition:
         return np.append(self.B.poles, self.K.poles)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """L at `omega` (rad/s), shape (n, m, m), complex."""
-        return self.B.frequency_response(omega) @ self.K.frequency_response(omega)
+        """L at `omega` (rad/s), shape (n, m, p), complex."""
+        last, first = self.factors
+        return last.frequency_response(omega) @ first.frequency_response(omega)
 
     def apply(self, signal) -> np.ndarray:
-        """Filter a signal of shape (..., time, m)."""
-        return self.B.apply(self.K.apply(signal))
+        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
+        last, first = self.factors
+        return last.apply(first.apply(signal))
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
-        return self.K.apply_transposed(self.B.apply_transposed(signal))
+        last, first = self.factors
+        return first.apply_transposed(last.apply_transposed(signal))
 
 
 Filter = LearningFilter | Composition  # has a transpose, and can be noted as JSON
@@ -378,21 +410,14 @@ def time_shifts(angles, order) -> np.ndarray:
     return np.cumprod(np.repeat(z[:, None], order, axis=1), axis=1)
 
 
-def check_learning(L: LearningOperator, channels: int | None = None, name: str = "L") -> None:
-    """Check that L makes as many signals as it takes errors, and so many if `channels` says so."""
+def check_learning(L: LearningOperator, name: str = "L", rows=None, columns=None) -> None:
+    """Check that L has the rows and columns that it says, and so many as the plant asks for."""
     arguments.instance(name, L, LearningOperator)
-    if channels is not None and L.channels != channels:
-        raise ValueError(f"{name} acts on {L.channels} channels, but must act on {channels}")
-    response = L.frequency_response(np.array([ANYWHERE / L.Ts]))
-    response = arguments.array(f"{name}.frequency_response", response, (1, "m", "p"), complex)
-    check_square(name, *response.shape[1:])
-
-
-def check_square(name: str, made: int, taken: int) -> None:
-    """Refuse an operator of a plant with other numbers of inputs and outputs."""
-    if made != taken:
-        inputs, outputs = f"{made} input{'s' * (made > 1)}", f"{taken} output{'s' * (taken > 1)}"
+    asked = (rows or L.rows, columns or L.columns)
+    if (L.rows, L.columns) != asked:
         raise ValueError(
-            f"{name} is of a plant with {outputs} and {inputs}, but the law adds one signal to v "
-            "for each error: take a plant with as many inputs as outputs"
+            f"{name} has {L.rows} rows and {L.columns} columns, but must have {asked[0]} rows, one "
+            f"for each learned input, and {asked[1]} columns, one for each output"
         )
+    response = L.frequency_response(np.array([ANYWHERE / L.Ts]))
+    arguments.array(f"{name}.frequency_response", response, (1, *asked), complex)

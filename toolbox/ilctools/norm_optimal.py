@@ -81,8 +81,13 @@ class NormOptimal:
         return self.P.dt
 
     @property
-    def channels(self) -> int:
-        """Number p of outputs."""
+    def rows(self) -> int:
+        """Number m of inputs of P."""
+        return self.P.ninputs
+
+    @property
+    def columns(self) -> int:
+        """Number p of outputs of P."""
         return self.P.noutputs
 
     def frequency_response(self, omega) -> np.ndarray:
@@ -101,7 +106,7 @@ class NormOptimal:
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
-        shape = ..., self.samples, self.channels
+        shape = ..., self.samples, self.columns
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
         C, D = self._states[2], self.P.D
         change = np.empty((*signal.shape[:-1], self.P.ninputs))
@@ -115,7 +120,7 @@ class NormOptimal:
         shape = ..., self.samples, self.P.ninputs
         signal = arguments.array("signal", signal, shape)
         C, D = self._states[2], self.P.D
-        output = np.empty((*signal.shape[:-1], self.channels))
+        output = np.empty((*signal.shape[:-1], self.columns))
         of_trials = output.reshape(-1, *output.shape[-2:])
         to_x, to_d = np.zeros((len(D.T), C.shape[1])), np.eye(len(D.T))
         for part, x, d in self._factors.solved(signal.reshape(-1, *shape[1:]), to_x, to_d):

@@ -45,12 +45,12 @@ class Pooled(NamedTuple):
     """P and E of B = (P* P + b^2)^-1 P* E."""
 
     P: control.StateSpace
-    E: np.ndarray  # (outputs, m)
+    E: np.ndarray  # (outputs of P, outputs of each plant)
 
 
-def isometry(copies, m) -> np.ndarray:
+def isometry(copies, size) -> np.ndarray:
     """E: so many identities one below the other, divided by the root of their number."""
-    return np.tile(np.eye(m), (copies, 1)) / np.sqrt(copies)
+    return np.tile(np.eye(size), (copies, 1)) / np.sqrt(copies)
 
 
 def pooled(models, b, change) -> Pooled:
@@ -58,9 +58,9 @@ def pooled(models, b, change) -> Pooled:
 
     If the comparison at many frequencies says otherwise, all states are kept.
     """
-    count, m = len(models), models[0].ninputs
+    count, (p, m) = len(models), models[0].shape
     if count == 1:
-        return Pooled(models[0], np.eye(m))
+        return Pooled(models[0], np.eye(p))
     poles = np.concatenate([model.poles() for model in models])
     grid = np.linspace(0, np.pi, FREQUENCIES)
     omega = np.append(grid, np.abs(np.angle(poles))) / models[0].dt
@@ -68,7 +68,7 @@ def pooled(models, b, change) -> Pooled:
     size = np.linalg.norm(P, 2, axis=(2, 3)).max()
     error = change * b**2 / (1.25 * size)
     share = 1 / np.sqrt(count)
-    groups = [Pooled(model * share, np.eye(m) * share) for model in models]
+    groups = [Pooled(model * share, np.eye(p) * share) for model in models]
     while len(groups) > 1:
         parts = [groups[k : k + GROUP] for k in range(0, len(groups), GROUP)]
         # errors of outputs that stand one below the other add by their squares
@@ -77,7 +77,7 @@ def pooled(models, b, change) -> Pooled:
     differs = _square(found) - _square(P).mean(axis=0)
     if largest_singular_values(differs).max() <= 2 * PASSES * error * size:
         return groups[0]
-    return Pooled(control.append(*models) * isometry(count, m), isometry(count, m))
+    return Pooled(control.append(*models) * isometry(count, m), isometry(count, p))
 
 
 def _square(P):

@@ -13,7 +13,9 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 
-SIGNALS = {  # of trials, in their order in a log, and the role of their channels
+# Of trials, in their order in a log, and the role of their channels. v is of inputs where it is not
+# added to references, one for each output.
+SIGNALS = {
     "reference": "output",
     "v": "output",
     "u": "control",
@@ -29,8 +31,8 @@ SIGNALS = {  # of trials, in their order in a log, and the role of their channel
 class Signals:
     """Sampling period (s), names and units of the signals of something; None: not known.
 
-    Outputs and controls are the same wherever they are known. Labels are those of models: two
-    may have other ones, but not the same ones in another order.
+    Outputs, learned inputs and controls are the same wherever they are known. Labels are those of
+    models: two may have other ones, but not the same ones in another order.
     """
 
     Ts: float | None = None
@@ -38,6 +40,7 @@ class Signals:
     controls: list[str] | None = None
     units: dict[str, str] = field(default_factory=dict)
     labels: list[str] | None = None
+    learned: list[str] | None = None  # where v is not added to references one for one
 
     @classmethod
     def of_log(cls, trials) -> "Signals":
@@ -49,7 +52,8 @@ class Signals:
                 labels = trials[f"{role}_unit"].values.tolist()
                 units |= dict(zip(names[role], labels, strict=True))
         Ts = period_of(trials) if "Ts" in trials.attrs else None
-        return cls(Ts, names.get("output"), names.get("control"), units)
+        learned = names.get("input")
+        return cls(Ts, names.get("output"), names.get("control"), units, learned=learned)
 
     @classmethod
     def of_plant(cls, plant, Ts: float) -> "Signals":
@@ -74,20 +78,24 @@ def dataset(
     sources: Sequence[str],
     units: Mapping[str, str],
     sensors: Sequence[str] = (),
+    learned: Sequence[str] = (),
     **signals,
 ) -> xr.Dataset:
-    """Trials from their signals, shape (trial, time, channel), with coordinates and units."""
-    trials, samples, m = signals["y"].shape
+    """Trials from their signals, shape (trial, time, channel), with coordinates and units.
+
+    `learned`, where v is not added to references one for one: the inputs that it is added to.
+    """
+    trials, samples, p = signals["y"].shape
     if "reference" in signals:
         signals["e"] = signals["reference"] - signals["y"]
     coordinates = {
         "trial": np.arange(1, trials + 1),
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
-        "channel": np.arange(1, m + 1),
+        "channel": np.arange(1, p + 1),
     }
-    variables, role_of = {}, SIGNALS | {"e": "output"}
-    for role, names in zip(ROLES, (outputs, controls, sources, sensors), strict=True):
-        dimension = role if role in ("source", "sensor") else "channel"
+    variables, role_of = {}, roles_of(learned) | {"e": "output"}
+    for role, names in zip(ROLES, (outputs, controls, sources, sensors, learned), strict=True):
+        dimension = "channel" if role in ("output", "control") else role
         labels = [units.get(name, "") for name in names]
         for name in role_of:
             if role_of[name] == role and name in signals and len(names):
@@ -95,6 +103,11 @@ def dataset(
                 attributes = {"units": ", ".join(dict.fromkeys(labels))}
                 variables[name] = (("trial", "time", dimension), signals[name], attributes)
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
+
+
+def roles_of(learned) -> dict[str, str]:
+    """The role of the channels of each signal; `learned`: the inputs of v that is no reference's."""
+    return SIGNALS | {"v": "input"} if len(learned) else SIGNALS
 
 
 def check_match(**parties) -> None:
@@ -117,11 +130,12 @@ def check_match(**parties) -> None:
 
 def _parts(whose, party):
     """What is known of a party, by what is compared: each as a value, and in words."""
-    outputs, labels = getattr(party, "outputs", None), _labels_of(party)
+    outputs, learned = getattr(party, "outputs", None), getattr(party, "learned", None)
+    labels = _labels_of(party)
     values = {
         "Ts": getattr(party, "Ts", getattr(party, "dt", None)),
-        "channels": getattr(party, "channels", None if outputs is None else len(outputs)),
         "outputs": outputs,
+        "learned": None if getattr(party, "one_for_one", False) else learned,
         "controls": getattr(party, "controls", None),
     }
     parts = {
@@ -129,6 +143,13 @@ def _parts(whose, party):
         for name, value in values.items()
         if value is not None
     }
+    counts = {
+        "outputs": getattr(party, "columns", None if outputs is None else len(outputs)),
+        "learned inputs": getattr(party, "rows", None if learned is None else len(learned)),
+    }
+    for what, count in counts.items():
+        if count is not None:
+            parts["number", what] = count, f"{whose} has {count} {what}"
     for place, label in enumerate(labels):
         parts.setdefault(("place", label), (place, f"{whose}.labels = {labels}"))
     for signal, unit in getattr(party, "units", {}).items():
@@ -142,5 +163,5 @@ def _labels_of(party):
     if isinstance(party, Signals):
         return party.labels or []
     outputs = getattr(party, "output_labels", getattr(party, "outputs", None))
-    inputs = getattr(party, "input_labels", getattr(party, "references", None))
+    inputs = getattr(party, "input_labels", getattr(party, "learned", None))
     return [*(outputs or ()), *(inputs or ())]

@@ -201,9 +201,9 @@ class Certificate:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
         found, signals = [*problem.findings, *problem.costs], response.signals
-        outputs = (signals.labels or [])[: problem.channels]
+        outputs = (signals.labels or [])[: problem.p]
         units = {signals.units.get(name, "") for name in outputs} - {""}
-        if len(units) > 1 and np.all(problem.scale == 1):
+        if len(units) > 1 and problem.scale.is_one:
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
         found += doubts(response)
         if response.models[0] is None and response.low is None:  # else signals say what leads

@@ -121,7 +121,7 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
         raise ValueError("P has a radius, for which a design answers: design.check(P)")
     check_match(P=response.signals, L=L)
     omega, responses = response.omega, response.P
-    check_learning(L, responses.shape[-1])
+    check_learning(L, "L", *responses.shape[:-3:-1])
     Q = lowpass_of(Q, omega).frequency_response(omega)
     several = isinstance(P, list | tuple) or np.ndim(P) == 4
     P = responses if several else responses[0]
@@ -129,7 +129,7 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
 
 
 def from_responses(omega, P, Q, L) -> Convergence:
-    """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
+    """As :func:`convergence`, of frequency responses P (n, p, m) or (plants, n, p, m), Q and L."""
     M = convergence_matrix(P, Q, L)
     sigma = largest_singular_values(M.reshape(-1, *M.shape[-2:])).reshape(M.shape[:-2])
     radius = np.abs(np.linalg.eigvals(M)).max(axis=-1)

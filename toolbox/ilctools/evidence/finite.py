@@ -29,7 +29,7 @@ def trial_operators(
     Parameters
     ----------
     P : control.StateSpace
-        In discrete time, m inputs (w), m outputs (y); acts from rest.
+        In discrete time, from v (m) to y (p); acts from rest.
     Q, L : ZeroPhaseButterworth, LearningFilter
         Act as in :class:`ilctools.Law`, with their own `ends`.
     samples : int
@@ -37,8 +37,9 @@ def trial_operators(
 
     Returns
     -------
-    P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
-        On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
+    P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator
+        On signals of shape (samples, m) or (samples, p), raveled: P_N has the shape (samples p,
+        samples m), Q_N (samples m, samples m) and L_N (samples m, samples p). P_N is a lower triangular block Toeplitz
         matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
         matrix would do to the samples beyond it is added to its first or last block column.
 
@@ -58,15 +59,16 @@ def trial_operators(
     """
     P = sampled_plant(P, "P")
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    m = arguments.instance("L", L, Filter).channels
-    if (P.noutputs, P.ninputs) != (m, m):
-        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
+    m, p = arguments.instance("L", L, Filter).rows, L.columns
+    if (P.noutputs, P.ninputs) != (p, m):
+        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {p}")
     check_match(P=P, L=L, Q=Q)
     samples = arguments.whole("samples", samples, 1)
 
     h = np.moveaxis(impulse_response(P, samples), 0, -1)
     from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # of P, which looks back
-    return tuple(_on_trial(f, samples, m) for f in (from_rest, Q, L))
+    sizes = ((p, m), (m, m), (m, p))
+    return tuple(_on_trial(f, samples, *size) for f, size in zip((from_rest, Q, L), sizes, strict=True))
 
 
 def trial_map(
@@ -101,7 +103,7 @@ def trial_map(
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    learned = np.arange(samples * L.channels) < (samples - rest) * L.channels
+    learned = np.arange(samples * L.rows) < (samples - rest) * L.rows
     at_rest = sparse.aslinearoperator(diags_array(learned.astype(float)))
     identity = sparse.aslinearoperator(eye_array(learned.size))
     return at_rest @ Q_N @ (identity - L_N @ P_N) @ at_rest
@@ -171,7 +173,7 @@ def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
     settled = max(10 * settled, *(2 * _delay(P) for P in plants))
-    samples = int(min(settled + SHORTEST, LONGEST / L.channels))
+    samples = int(min(settled + SHORTEST, LONGEST / L.rows))
     if len(plants) == 1:
         return samples, trial_norm(plants[0], Q, L, samples)[0]
     return samples, largest_trial_norm(plants, Q, L, samples)
@@ -183,13 +185,18 @@ def _delay(P):
     return answers.argmax(axis=0).max()
 
 
-def _on_trial(f, samples, m):
-    """A filter as a linear operator on raveled signals (samples, m)."""
+def _on_trial(f, samples, made, taken):
+    """A filter as a linear operator from raveled signals (samples, taken) to (samples, made)."""
 
-    def raveled(apply):
-        return lambda X: apply(X.T.reshape(-1, samples, m)).reshape(X.T.shape).T
+    def raveled(apply, channels):
+        def on_columns(X):
+            signals = apply(X.T.reshape(-1, samples, channels))
+            return signals.reshape(*X.T.shape[:-1], -1).T
 
-    size, to, back = samples * m, raveled(f.apply), raveled(f.apply_transposed)
+        return on_columns
+
+    to, back = raveled(f.apply, taken), raveled(f.apply_transposed, made)
+    shape = samples * made, samples * taken
     return sparse.LinearOperator(
-        (size, size), matvec=to, rmatvec=back, matmat=to, rmatmat=back, dtype=float
+        shape, matvec=to, rmatvec=back, matmat=to, rmatmat=back, dtype=float
     )

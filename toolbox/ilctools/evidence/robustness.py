@@ -70,7 +70,7 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
     True
     """
     arguments.instance("problem", problem, Problem)
-    check_learning(L, problem.channels)
+    check_learning(L, "L", problem.m, problem.p)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
     sigma = np.array([worst_sigma(problem, response, k, 0) for k in range(len(problem.plants))])
@@ -84,11 +84,13 @@ def worst_sigma(problem, L, k, level):
 
 
 def within_radius(P, Q, L, radius, level):
-    """The worst case at each frequency, (n,), of P and L, (n, m, m), within a radius.
+    """The worst case at each frequency, (n,), of P, (n, p, m), and L, (n, m, p), within a radius.
 
     Exact from `NEAR` times the level on, an upper bound below.
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
+    if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same of P^T and L^T
+        M, rho_L = M.swapaxes(1, 2), rho_L.swapaxes(1, 2)
     wider = largest_singular_values(rho_L) if np.any(radius) else np.zeros(len(M))
     sigma = largest_singular_values(M) + wider
     near = (sigma >= NEAR * level) & (wider > 0)
@@ -103,7 +105,8 @@ def _least_bound(G):
 
     def bound(t, i):
         """Of [M / sqrt(alpha); rho L / sqrt(1 - alpha)] for t = log((1 - alpha) / alpha)."""
-        root = np.sqrt(expit([-t, t])).T.repeat(G.shape[2], axis=1)
+        m = G.shape[2]
+        root = np.sqrt(expit([-t, t])).T.repeat([m, G.shape[1] - m], axis=1)
         return largest_singular_values(G[i] / root[:, :, None])
 
     end, numbers = np.full(len(G), FARTHEST), np.arange(len(G))

@@ -20,8 +20,8 @@ TOLERANCE = 1e-8  # relative residual of an eigenvector, as of one plant alone
 
 def largest_trial_norm(plants, Q: ZeroPhaseButterworth, L: Filter, samples: int) -> float:
     """The largest 2-norm of a trial among some plants, see :func:`.finite.trial_norm`."""
-    units = np.eye(samples * L.channels)
-    L_N = L.apply(units.reshape(-1, samples, L.channels)).reshape(units.shape).T
+    units = np.eye(samples * L.columns)
+    L_N = L.apply(units.reshape(-1, samples, L.columns)).reshape(len(units), -1).T
     parts = [plants[first : first + TOGETHER] for first in range(0, len(plants), TOGETHER)]
     return max(_largest(Maps(part, Q, L_N, samples)) for part in parts)
 
@@ -31,19 +31,22 @@ class Maps:
 
     def __init__(self, plants, Q, L_N, samples):
         self.Q, self.L_N, self.length = Q, L_N, next_fast_len(2 * samples)  # no sample wraps round
-        self.shape = len(plants), samples, plants[0].ninputs
+        p, m = plants[0].shape
+        self.shape, self.outputs = (len(plants), samples, m), (len(plants), samples, p)
         self.H = rfft([impulse_response(P, samples) for P in plants], self.length, axis=1)
 
     def normal(self, v) -> np.ndarray:
         """T_k^T T_k v_k, of shape (plants, samples channels)."""
-        changed = v - self._filtered(self.H, v) @ self.L_N.T
+        changed = v - self._filtered(self.H, v.reshape(self.shape)) @ self.L_N.T
         back = self.Q.apply_transposed(self.Q.apply(changed.reshape(self.shape))).reshape(v.shape)
-        return back - self._filtered(self.H.conj().swapaxes(2, 3), back @ self.L_N)
+        errors = (back @ self.L_N).reshape(self.outputs)
+        return back - self._filtered(self.H.conj().swapaxes(2, 3), errors)
 
     def _filtered(self, H, v):
-        """P_k v_k, or with H adjoint P_k^T v_k."""
-        V = rfft(v.reshape(self.shape), self.length, axis=1)[..., None]
-        return irfft((H @ V)[..., 0], self.length, axis=1)[:, : self.shape[1]].reshape(v.shape)
+        """P_k v_k, or with H adjoint P_k^T v_k, raveled."""
+        V = rfft(v, self.length, axis=1)[..., None]
+        signals = irfft((H @ V)[..., 0], self.length, axis=1)[:, : v.shape[1]]
+        return signals.reshape(len(v), -1)
 
 
 def _largest(maps) -> float:

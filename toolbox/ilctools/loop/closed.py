@@ -69,14 +69,33 @@ class CurrentTrialLoop:
         return self.plant.input_labels[self.plant.noutputs :]
 
     @property
-    def references(self) -> list[str]:
+    def inputs(self) -> list[str]:
         """Names of the inputs w = r + v."""
-        return _learned(self)
+        return _inputs_of(self.outputs)
+
+    @property
+    def learned(self) -> list[str]:
+        """Names of the inputs that v is added to: all."""
+        return self.inputs
+
+    @property
+    def references(self) -> dict[str, str]:
+        """Whose reference each input takes: that of its own output."""
+        return dict(zip(self.inputs, self.outputs, strict=True))
+
+    @property
+    def one_for_one(self) -> bool:
+        """Whether v is added to the references, one for each output in their order."""
+        return True
 
     @property
     def commands(self) -> list[str]:
         """Names of what is sent to the actuators: the controls."""
         return self.controls
+
+    def w(self, reference, v) -> np.ndarray:
+        """The inputs w = r + v, (22)."""
+        return reference + v
 
     def asked(self, signals) -> np.ndarray | None:
         """The commands of a trial, by name those of `commands`: its controls u, if it has them."""
@@ -103,8 +122,13 @@ class CurrentTrialLoop:
         B = self.plant.B[:, : self.plant.noutputs]
         return control.ss(
             self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
-            inputs=self.references, outputs=self.outputs,
+            inputs=self.inputs, outputs=self.outputs,
         )  # fmt: skip
+
+    @property
+    def P_v(self) -> control.StateSpace:
+        """The transfer function from v to y, which learning sees: P."""
+        return self.P
 
     @cached_property
     def closed(self) -> control.StateSpace:
@@ -158,16 +182,25 @@ class CurrentTrialLoop:
         return G @ np.linalg.solve(np.eye(m) - R @ (G - G_0), U)
 
 
-def _learned(loop):
-    return [f"w{i + 1}" for i in range(len(loop.outputs))]
+def _inputs_of(outputs):
+    """Names of inputs, one for each output."""
+    return [f"w{i + 1}" for i in range(len(outputs))]
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A loop whose controller is not ours, such as a PID in a PLC: it takes w = r + v, y follows.
+    """A loop whose controller is not ours, such as a PID in a PLC: it takes w, and y follows.
 
-    Nothing else is assumed of it, not even that P(0) = I. Without P it can be run and shaken, by
-    which P can be measured; with P it can be simulated, and filters can be designed for it.
+    Each input w takes the reference r of an output, a learned signal v, or both,
+
+        w = F r + G v,
+
+    with F and G of zeros and ones. Usually there is one input for each output, and w = r + v. A
+    signal that is added to what a controller commands, such as a torque, is an input that takes v
+    alone. There may be more outputs than learned inputs, or fewer.
+
+    Nothing else is assumed of the loop, not even that P(0) = I. Without P it can be run and shaken,
+    by which P can be measured; with P it can be simulated, and filters can be designed for it.
 
     Attributes
     ----------
@@ -177,6 +210,12 @@ class ClosedLoop:
         Sampling period, s. Default: that of P.
     outputs : sequence of str, optional
         Names of y. Default: those of P.
+    references : dict, optional
+        Whose reference an input takes: ``{input: output}``; {} for none. Default, where there are
+        as many inputs as outputs: each that of its own output.
+    learned : sequence of str, optional
+        Names of the inputs that take a learned signal. Default, where there are as many inputs as
+        outputs: all.
     controls : sequence of str
         Names of the commands u, one for each output, if the rig tells them.
     disturbances : sequence of str
@@ -195,13 +234,25 @@ class ClosedLoop:
     >>> from ilctools import ClosedLoop
     >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
     >>> loop = ClosedLoop(P, outputs=["x"], units={"x": "mm"})
-    >>> loop.references, loop.frequency_response([1.0, 10.0]).shape
+    >>> loop.inputs, loop.frequency_response([1.0, 10.0]).shape
     (['u[0]'], (2, 1, 1))
+
+    A drive whose position loop is closed, with an input for torque, at which is learned:
+
+    >>> z = control.tf([1, 0], 1, 0.01)
+    >>> both = control.ss(control.append(0.2 / (z - 0.8), 0.1 / (z - 0.8)))
+    >>> both = control.ss([[1, 1]], dt=0.01) * both
+    >>> both.update_names(inputs=["position", "torque"], outputs=["x"])
+    >>> loop = ClosedLoop(both, references={"position": "x"}, learned=["torque"])
+    >>> loop.w([[1.0]], [[0.5]]).tolist()
+    [[1.0, 0.5]]
     """
 
     P: Model = None
     Ts: float = None  # of P; once the loop is made, a number, and the next are names
     outputs: Sequence[str] = None
+    references: dict[str, str] = None
+    learned: Sequence[str] = None
     controls: Sequence[str] = ()
     disturbances: Sequence[str] = ()
     units: dict[str, str] = field(default_factory=dict)
@@ -220,51 +271,132 @@ class ClosedLoop:
         disturbances = arguments.different("disturbances", self.disturbances)
         if not outputs or (P is not None and P.noutputs != len(outputs)):
             raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
+        inputs, references, learned = self._channels(P, outputs)
         if controls and len(controls) != len(outputs):
             raise ValueError(f"controls = {controls!r} must be one for each output, or none")
         if P is not None:
             check_match(P=P, loop=Signals(Ts, labels=outputs))
-        signals = [*outputs, *controls, *disturbances]
+        vars(self).update(inputs=inputs, references=references, learned=learned, outputs=outputs)
+        # a v that is added to references has their units
+        others = [] if self.one_for_one else [name for name in inputs if name not in outputs]
+        signals = [*outputs, *others, *controls, *disturbances]
         vars(self).update(
             P=P,
             Ts=Ts,
-            outputs=outputs,
             controls=controls,
             disturbances=disturbances,
             units=units.labels(self.units, signals),
         )
 
+    def _channels(self, P, outputs):
+        """Names of the inputs, whose reference each takes, and which of them are learned."""
+        references, learned = self.references, self.learned
+        if P is not None:
+            inputs = arguments.different("inputs of P", P.input_labels)
+        elif references is None or learned is None:
+            inputs = _inputs_of(outputs)
+        else:
+            inputs = [*dict.fromkeys([*references, *learned])]
+        if references is None or learned is None:
+            if len(inputs) != len(outputs):
+                raise ValueError(
+                    f"P has the inputs {inputs} and the outputs {outputs}, and not as many: say "
+                    "whose reference each input takes, references={input: output}, with {} for "
+                    "none, and which of them are learned, learned=[inputs]"
+                )
+        if references is None:
+            references = dict(zip(inputs, outputs, strict=True))
+        given = arguments.by_name("references", references, inputs)
+        references = {name: given[name] for name in inputs if name in given}
+        for name, output in references.items():
+            if output not in outputs:
+                raise ValueError(
+                    f"references[{name!r}] = {output!r} is none of the outputs, {outputs}"
+                )
+        learned = arguments.different("learned", inputs if learned is None else learned)
+        unknown = [name for name in learned if name not in inputs]
+        if unknown or not learned:
+            raise ValueError(f"learned = {learned} must name some of the inputs, {inputs}")
+        idle = [name for name in inputs if name not in learned and name not in references]
+        if idle:
+            raise ValueError(
+                f"the inputs {idle} of P take neither a reference nor a learned signal: name them "
+                f"in references or in learned, or leave them out, as P[:, {learned}]"
+            )
+        return inputs, references, learned
+
     @property
-    def references(self) -> list[str]:
-        """Names of the inputs w = r + v."""
-        return _learned(self) if self.P is None else self.P.input_labels
+    def one_for_one(self) -> bool:
+        """Whether v is added to the references, one for each output in their order."""
+        return self.learned == self.inputs and [*self.references.values()] == self.outputs
+
+    @property
+    def places(self) -> list[int]:
+        """Where the learned inputs stand among the inputs."""
+        return [self.inputs.index(name) for name in self.learned]
 
     @property
     def commands(self) -> list[str]:
         """Names of what is sent to the rig: w."""
-        return self.references
+        return self.inputs
+
+    def w(self, reference, v) -> np.ndarray:
+        """The inputs w = F r + G v, shape (..., inputs), of r (..., p) and v (..., m)."""
+        if self.one_for_one:
+            return reference + v
+        w = np.zeros((*np.shape(v)[:-1], len(self.inputs)))
+        for name, output in self.references.items():  # F
+            w[..., self.inputs.index(name)] = np.asarray(reference)[..., self.outputs.index(output)]
+        w[..., self.places] += np.asarray(v)  # G
+        return w
 
     def asked(self, signals) -> np.ndarray:
-        """The commands of a trial, by name those of `commands`: its w = r + v."""
-        return signals["reference"] + signals["v"]
+        """The commands of a trial, by name those of `commands`: its w = F r + G v."""
+        return self.w(signals["reference"], signals["v"])
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """The v with which the loop would have asked for what was applied, instead of u."""
-        return v + (applied - u)  # v itself where nothing was cut off
+        """The v with which the loop would have asked for what was applied, instead of u.
+
+        What is cut off of an input that takes a reference alone, no v makes up for.
+        """
+        return v + (applied - u)[..., self.places]  # v itself where nothing was cut off
+
+    @property
+    def P_v(self) -> control.StateSpace | None:
+        """The model from v to y, which learning sees; None without P."""
+        return None if self.P is None else self._from_v(self.P)
+
+    @property
+    def P_r(self) -> control.StateSpace | None:
+        """The model from r to y; None without P."""
+        if self.P is None:
+            return None
+        F = np.array([[self.references.get(i) == o for o in self.outputs] for i in self.inputs])
+        P = self.P
+        return control.ss(P.A, P.B @ F, P.C, P.D @ F, P.dt)
+
+    def _from_v(self, P):
+        """A model from w to y as one from v, its columns those of the learned inputs."""
+        return P if self.learned == self.inputs else P[:, self.places]
 
     def model(self, plant=None) -> control.StateSpace:
         """P, or `plant` in its place, which is another model from w to y."""
         if plant is None and self.P is None:
             raise ValueError("loop has no P: it can be run and shaken, but not simulated")
         P = self.P if plant is None else _stable_model("plant", plant)
-        check_match(loop=self, plant=P)
-        if P.noutputs != len(self.outputs):
-            raise ValueError(f"plant has {P.noutputs} outputs, but the loop {len(self.outputs)}")
+        labels = [*self.outputs, *self.inputs]
+        check_match(loop=Signals(self.Ts, labels=labels), plant=P)
+        sizes = len(self.outputs), len(self.inputs)
+        if P.shape != sizes:
+            raise ValueError(
+                f"plant has {P.shape[0]} outputs and {P.shape[1]} inputs, but the loop {sizes[0]} "
+                f"and {sizes[1]}"
+            )
         return P
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """P, or another model from w to y, at `omega` (rad/s), shape (n, m, m)."""
-        return frequency_response(self.model(plant), omega)
+        """From v to y at `omega` (rad/s), (n, p, m), by P or another model from w to y."""
+        return frequency_response(self._from_v(self.model(plant)), omega)
 
 
 Loop = CurrentTrialLoop | ClosedLoop
@@ -290,7 +422,6 @@ def _stable_model(name, P):
     """A stable model from w to y."""
     P = sampled_plant(P, name)
     arguments.stable(name, P.poles())
-    arguments.square(name, P.ninputs, P.noutputs)
     return P
 
 
@@ -360,6 +491,6 @@ def _from_w_and_d(loop, plant=None):
     m = len(loop.outputs)
     closed = whole_loop(loop, plant)[:m, :-m]
     closed.update_names(
-        inputs=loop.references + loop.disturbances, outputs=loop.outputs, name="current-trial loop"
+        inputs=loop.inputs + loop.disturbances, outputs=loop.outputs, name="current-trial loop"
     )
     return closed

@@ -164,8 +164,8 @@ class EstimatedResponse(Measured):
         P = self._at(omega)
         return P, self._radius_of(self._moments(omega), P, confidence, True)
 
-    def _scaled(self, scale):
-        return replace(self, units=self.units * scale / scale[:, None])
+    def _scaled(self, of_P):
+        return replace(self, units=self.units * of_P)
 
     def model(self) -> control.StateSpace:
         """A model within the joint radius of 99 %, of which the next lower order is not.

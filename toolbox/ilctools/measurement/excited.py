@@ -144,8 +144,8 @@ class ExcitedResponse(Measured):
         """Whether P(0) = I is known of the loop: its observer integrates."""
         return isinstance(self.loop, CurrentTrialLoop)
 
-    def _scaled(self, scale):
-        return replace(self, periods=self.periods * scale / scale[:, None])
+    def _scaled(self, of_P):
+        return replace(self, periods=self.periods * of_P)
 
     def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]

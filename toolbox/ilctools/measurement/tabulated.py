@@ -20,18 +20,17 @@ class TabulatedResponse(Measured):
 
     estimated = False  # its unit is what its author says
     omega: np.ndarray  # rad/s, shape (n,)
-    response: np.ndarray  # shape (n, m, m), complex
+    response: np.ndarray  # shape (n, p, m), complex
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
     loop: ClosedLoop | None  # names and sampling period, if the table says one
 
     def _radius(self, confidence, jointly):
         return self.uncertainty
 
-    def _scaled(self, scale):
-        units = scale / scale[:, None]
+    def _scaled(self, of_P):
         # the norm of Delta is not more in these units
-        widest = self.uncertainty * units.max()
-        return replace(self, response=self.response * units, uncertainty=widest)
+        widest = self.uncertainty * of_P.max()
+        return replace(self, response=self.response * of_P, uncertainty=widest)
 
     def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]
@@ -51,7 +50,6 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
             f"log.omega = {reprlib.repr(omega.tolist())} must be four positive increasing "
             "frequencies, or more"
         )
-    arguments.square("log", table.ninputs, table.noutputs)
     shape = len(omega), "m", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
     with_phase("log", P)

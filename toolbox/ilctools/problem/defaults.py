@@ -132,7 +132,10 @@ def lead(P, omega, Ts) -> float:
 
 def _lag(P, omega, Ts, at):
     """Phase by which each output lags at some frequencies beyond the least lag, (k, m), rad."""
-    response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]))  # one at first, as the gain
+    if P.shape[1] > P.shape[2]:  # of each input by itself, with the outputs combined
+        P = P.swapaxes(1, 2)
+    square = P.shape[1] == P.shape[2]
+    response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]) if square else np.linalg.pinv(P[0]))
     u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, at))
     # The mean of ln coth(|u| / 2) over each step is the value in its middle, but for the step at
     # zero: there it is about -ln(|u| / 2), whose mean is its value at width / (2 e).

@@ -35,8 +35,11 @@ def pose(
     reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
-    lowpass = lowpass_of(Q, response.omega)
+    lowpass, asked_order = lowpass_of(Q, response.omega), order
     cutoff, chosen = lowpass.cutoff, []
+    square = response.P.shape[2] == response.P.shape[3]
+    if base == defaults.CHOOSE and order is not None and square:
+        base = None
     pooled = base == defaults.CHOOSE
     M_max = checked_M_max(M_max)
     gain = _gain(response, lowpass, M_max, pooled)
@@ -61,9 +64,19 @@ def pose(
         order,
         structure,
         base,
-        formula_will_do=pooled,
+        formula_will_do=pooled and asked_order is None,
         chosen=tuple(chosen),
     )
+
+
+def refuse_unless_square(problem: Problem) -> None:
+    """Refuse what is for as many learned inputs as outputs, of a plant with other numbers."""
+    for name, asked in (("base = None", problem.base is None), ("structure = 'diagonal'", problem.structure == "diagonal")):
+        if asked and not problem.square:
+            raise ValueError(
+                f"{name} needs as many learned inputs as outputs, but P has {problem.m} and "
+                f"{problem.p}: leave it out"
+            )
 
 
 def checked_M_max(M_max) -> float:
@@ -98,7 +111,8 @@ def _base(response, lowpass, structure, share, L_max, reach):
     if isinstance(base, LearningFilter):
         kind = f"a finite filter of {-base.first} samples each way"
     of = "all plants" if len(models) > 1 else "the plant"
-    return base, f"L = B K, B of {of} with b = {b:.3g}, {why}, {kind}"
+    product = "B K" if response.P.shape[-1] >= response.P.shape[-2] else "K B"
+    return base, f"L = {product}, B of {of} with b = {b:.3g}, {why}, {kind}"
 
 
 def _order(response, cutoff, order, base, chosen):
@@ -138,9 +152,9 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
             f"objective = {kind!r}: leave these out, or the reference"
         )
     else:
-        m = len(response.scale)
-        names = response.signals.labels[:m] or arguments.names_of(reference) or range(m)
-        r = arguments.in_columns("reference", reference, ("time", m), names) / response.scale
+        p = len(response.scale.y)
+        names = response.signals.labels[:p] or arguments.names_of(reference) or range(p)
+        r = arguments.in_columns("reference", reference, ("time", p), names) / response.scale.y
         arguments.representable("reference", r, "in another unit")
         error = first_error(response, r)
         weights = error_weights(error, response.angles)

@@ -4,6 +4,13 @@
 Frequency responses have the frequency first. The channels of P, L and M are in units of `scale`,
 so that singular values compare what counts as equally large.
 
+P has p outputs and m learned inputs. Trials contract on the side that has fewer channels,
+
+    M = Q (I - P L)   of the error, if m >= p,    M = Q (I - L P)   of v, if m < p.
+
+The second is the first of P^T and L^T, transposed. So the solver always meets G = F + T K with
+square K: for m >= p with P B K, for m < p, where L = K B, with P^T B^T K^T.
+
 M is affine in P. A bound on it for several plants, or for all within a radius of them, is as convex
 as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
 """
@@ -20,6 +27,7 @@ from ilctools.problem import defaults
 from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import SampledQ
 from ilctools.response.response import Response
+from ilctools.response.scale import Scale
 from ilctools.singular_values import largest_singular_values
 
 K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
@@ -94,13 +102,37 @@ class Problem:
 
     @property
     def plants(self) -> np.ndarray:
-        """Frequency responses of the plants for which the bounds hold, (p, n, m, m)."""
+        """Frequency responses of the plants for which the bounds hold, (plants, n, p, m)."""
         return self.response.P
 
     @property
     def P(self) -> np.ndarray:
-        """Frequency response of the nominal plant, shape (n, m, m)."""
+        """Frequency response of the nominal plant, shape (n, p, m)."""
         return self.response.P[0]
+
+    @property
+    def p(self) -> int:
+        """Number p of outputs."""
+        return self.P.shape[1]
+
+    @property
+    def m(self) -> int:
+        """Number m of learned inputs."""
+        return self.P.shape[2]
+
+    @property
+    def square(self) -> bool:
+        """Whether there are as many outputs as learned inputs."""
+        return self.p == self.m
+
+    @property
+    def of_v(self) -> bool:
+        """Whether M is of v, as there are fewer learned inputs than outputs, and not of the error."""
+        return self.m < self.p
+
+    def turned(self, X) -> np.ndarray:
+        """P, L or B at some frequencies as the solver has them: transposed, if M is of v."""
+        return X.swapaxes(-2, -1) if self.of_v else X
 
     @property
     def radius(self) -> np.ndarray | None:
@@ -108,8 +140,8 @@ class Problem:
         return self.response.radius
 
     @property
-    def scale(self) -> np.ndarray:
-        """What counts as equally large in each channel, (m,)."""
+    def scale(self) -> Scale:
+        """What counts as equally large in each output and learned input."""
         return self.response.scale
 
     @property
@@ -120,8 +152,8 @@ class Problem:
 
     @property
     def channels(self) -> int:
-        """Number m of channels."""
-        return len(self.scale)
+        """Number of channels on the side on which trials contract, the lesser of p and m."""
+        return min(self.p, self.m)
 
     @property
     def idle(self) -> float:
@@ -161,13 +193,16 @@ class Problem:
     def affine(self, plant, at, radius) -> tuple[np.ndarray, np.ndarray]:
         """F and T of G = F + T K for plants and frequencies, by number, with a radius or None.
 
-        G is M = Q I - Q P L, or with a radius [M; |Q| r L], see :class:`Cuts`.
+        G is M = Q I - Q P L, or with a radius [M; |Q| r L], see :class:`Cuts`. Where P has fewer
+        outputs than inputs, L = B K with B = U R, U* U = I, has the singular values of R K.
         """
         identity, Q = np.eye(self.channels), self.Q[at, None, None]
-        T = -Q * self.plants[plant, at]
+        T = self.through_base(-Q * self.turned(self.plants[plant, at]), at)
         if radius is not None:
-            T = np.concatenate([T, np.abs(Q) * radius[at, None, None] * identity], axis=1)
-        return Q * np.eye(T.shape[1], self.channels), self.through_base(T, at)
+            of_L = identity if self.square else np.linalg.qr(self.of_K[at], mode="r")
+            of_L = np.abs(Q) * radius[at, None, None] * of_L
+            T = np.concatenate([T, self.through_base(of_L, at) if self.square else of_L], axis=1)
+        return Q * np.eye(T.shape[1], self.channels), T
 
     @cached_property
     def L_bound(self) -> np.ndarray:
@@ -205,11 +240,11 @@ class Problem:
 
     @cached_property
     def of_K(self) -> np.ndarray | None:
-        """What L is for K = z at omega, (n, m, m), in units of `scale`; None if L is K."""
+        """What L, turned, is for K = z at omega, in units of `scale`; None if L is K."""
         if self.base is None:
             return None
         shift = np.exp(1j * (self.first - 1) * self.omega * self.Ts)
-        return self.base.frequency_response(self.omega) * shift[:, None, None]
+        return self.turned(self.base.frequency_response(self.omega)) * shift[:, None, None]
 
     def through_base(self, T, at):
         """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega."""
@@ -244,6 +279,8 @@ class Problem:
         """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
         # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
+        if self.of_v:
+            return LearningFilter(coefficients.swapaxes(0, 1), self.Ts, ends, self.first) @ self.base
         K = LearningFilter(coefficients, self.Ts, ends, self.first)
         return K if self.base is None else self.base @ K
 
@@ -253,13 +290,13 @@ class Problem:
         return self.scaled_filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def K(self, solution: "Solution") -> np.ndarray:
-        """Response of K / z^(first - 1), or of L without a base, at omega, (n, m, m)."""
+        """Response of K / z^(first - 1), turned, or of L without a base, at omega."""
         return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
 
     def L(self, solution: "Solution") -> np.ndarray:
-        """Response of a solution's filter at omega, (n, m, m), in units of `scale`."""
+        """Response of a solution's filter at omega, (n, m, p), in units of `scale`."""
         K = self.K(solution)
-        return K if self.base is None else self.of_K @ K
+        return K if self.base is None else self.turned(self.of_K @ K)
 
 
 @dataclass(frozen=True)
@@ -275,9 +312,9 @@ class Cuts:
 class Solution:
     """A learning filter, and the multipliers from which its optimality can be proven."""
 
-    # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
+    # (s, s, order): of L(z) = sum_k C_k z^k, or of K, turned, in units of `scale`
     coefficients: np.ndarray
-    # (n, m, m), complex: multipliers of the nominal M, and of L or K
+    # (n, s, s), complex: multipliers of the nominal M, and of L or K
     U: np.ndarray
     V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain
@@ -285,5 +322,9 @@ class Solution:
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """M = P Q (P^-1 - L) = Q (I - P L) from responses P, L, (..., n, m, m), and Q, (n,)."""
-    return Q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)  # (36), (40)
+    """M from responses P, (..., n, p, m), L, (..., n, m, p), and Q, (n,).
+
+    M = P Q (P^-1 - L) = Q (I - P L); with fewer inputs than outputs, Q (I - L P).
+    """
+    PL = P @ L if P.shape[-1] >= P.shape[-2] else L @ P
+    return Q[:, None, None] * (np.eye(PL.shape[-1]) - PL)  # (36), (40)

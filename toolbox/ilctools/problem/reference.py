@@ -1,5 +1,8 @@
 """What is to be learned of a reference: the spectrum of the first error, e_1 = (I - P) r.
 
+Where v is not added to references one for one, it is e_1 = (I - P_r) r, with P_r for what the loop
+makes of references; zero, where that is not known.
+
 With E(w) = sum_p e_1(p) exp(-j w p), w = omega Ts, Parseval's theorem is
 
     1/N sum_p e_1(p) e_1(p)' = 1 / (pi N) Re integral_0^pi E(w) E(w)* dw.
@@ -11,7 +14,8 @@ import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.integrate import cumulative_trapezoid, trapezoid
 
-from ilctools.problem.problem import convergence_matrix
+from ilctools.models import frequency_response
+
 
 FINER = 16  # times the signal's own lines are summed, so that a narrow line is not missed
 FADING = 10  # trials are so much longer than an error at their end takes to fade without a jump
@@ -27,7 +31,12 @@ def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
     N, length = len(r), FINER * len(r)
     angles = np.linspace(0, np.pi, length // 2 + 1)
     R = rfft(r, length, axis=0)[..., None]
-    E = R - _nominal(response, angles)[1] @ R
+    if response.added:
+        E = R - _nominal(response, angles)[1] @ R
+    elif response.of_reference is not None:
+        E = R - frequency_response(response.of_reference, angles / response.Ts) @ R
+    else:
+        E = R
     e = irfft(E[..., 0], length, axis=0)[:N]
     faded = np.pad(e, [(0, N // FADING), (0, 0)], mode="linear_ramp")
     return angles, rfft(faded, length, axis=0)
@@ -61,16 +70,17 @@ def error_weights(spectrum, angles) -> np.ndarray:
 def predicted_rms(problem, L) -> dict[int, float]:
     """RMS of the error in trials 1 to 10, in the plant's units, from the spectrum of the first.
 
-    Of the nominal plant, by the law (23), e_{k+1} = M e_k + (1 - Q) e_1: where Q is less than one,
-    a part of the first error stays. Without noise, and for trials without ends.
+    Of the nominal plant, by the law (23), e_{k+1} = Q (I - P L) e_k + (1 - Q) e_1: where Q is less
+    than one, a part of the first error stays. Without noise, and for trials without ends.
     """
     angles, E = problem.objective.first_error
     omega, P = _nominal(problem.response, angles)
     Q, L = (f.frequency_response(omega) for f in (problem.lowpass, L))
-    M, e, rms = convergence_matrix(P, Q, L), E[..., None], {}
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, on whichever side trials contract
+    e, rms = E[..., None], {}
     stays, samples = (1 - Q)[:, None, None] * e, 2 * (len(angles) - 1) / FINER
     for trial in range(1, TRIALS + 1):
         power = trapezoid(np.abs(e[..., 0]) ** 2, angles, axis=0) / (np.pi * samples)
-        rms[trial] = float(np.sqrt(problem.scale**2 @ power))
+        rms[trial] = float(np.sqrt(problem.scale.y**2 @ power))
         e = M @ e + stays
     return rms

@@ -15,6 +15,7 @@ from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import LOW, Response
 from ilctools.response.samples import SAME, Samples
+from ilctools.response.scale import Scale, scale_of
 from ilctools.signals import Signals, check_match
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
@@ -48,10 +49,10 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
     of_table = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
     _refuse_other_units(*of_table, Ts)
     nominal, *_ = signals.values()
-    m = responses.shape[-1]
-    scale = arguments.by_channel("scale", scale, (nominal.labels or range(m))[:m])
-    models, responses, units = _in_units(scale, models, responses)
-    known = _accuracy(P, responses[0], omega, uncertainty, scale)
+    units = scale_of(scale, *_names(nominal, *responses.shape[-2:]))
+    models, responses = _in_units(units, models, responses)
+    known = _accuracy(P, responses[0], omega, uncertainty, units)
+    added, of_reference = _references(getattr(P, "loop", next(iter(plants.values()))), units)
     return Response(
         omega=omega,
         P=responses,
@@ -63,6 +64,8 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
         assumptions=known.assumptions,
         one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
         low=known.low,
+        of_reference=of_reference,
+        added=added,
     )
 
 
@@ -113,6 +116,20 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
     return Accuracy(
         radius_of(uncertainty, nominal), (relative,) if np.ndim(uncertainty) == 0 else ()
     )
+
+
+def _references(plant, scale):
+    """Whether v is added to references one for one; else what a loop makes of them, if it says so.
+
+    A model that is not square is taken to have no references of its own.
+    """
+    if not isinstance(plant, Loop):
+        return len(scale.y) == len(scale.v), None
+    if plant.one_for_one or plant.P_r is None:
+        return plant.one_for_one, None
+    R, S = np.diag(1 / scale.y), np.diag(scale.y)
+    P = plant.P_r
+    return False, control.ss(P.A, P.B @ S, R @ P.C, R @ P.D @ S, P.dt)
 
 
 def _is_one(loop, omega):
@@ -199,50 +216,50 @@ def _first_of(measured, Q):
 
 
 def _responses(plants, omega, Ts):
-    """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m)."""
+    """Each plant as a model, or None, and their responses on omega, (plants, n, p, m)."""
     models, responses, shape = [], [], (len(omega), "outputs", "inputs")
     for name, plant in plants.items():
         if isinstance(plant, Measured):
             plant, _ = plant.on(omega, CONFIDENCE)
-        P = plant.P if isinstance(plant, Loop) else plant
+        P = plant.P_v if isinstance(plant, Loop) else plant
         model, response = model_and_response(name, P, omega, Ts)
         response = arguments.array(name, response, shape, complex)
-        _, outputs, inputs = shape = response.shape
-        arguments.square(name, inputs, outputs)
+        shape = response.shape
         responses.append(with_phase(name, response))
         models.append(model)
     return models, np.array(responses)
 
 
+def _names(signals, p, m):
+    """Names of outputs and learned inputs, or else their numbers."""
+    labels = signals.labels or [*range(p), *range(m)]
+    return labels[:p], labels[p:]
+
+
 def _in_units(scale, models, responses):
-    """The plants in units of `scale`, and these; one where there is none."""
-    m = responses.shape[-1]
-    units = np.ones(m) if scale is None else arguments.array("scale", scale, (m,))
-    arguments.representable("scale", units, "in other units")
-    if units.min() <= 0:
-        raise ValueError(f"scale = {units.tolist()} must be positive numbers")
-    responses = responses * (units / units[:, None])
+    """The plants in units of `scale`."""
+    responses = responses * scale.of_P
     arguments.representable("P", responses, "in units in which its gain is nearer to one")
-    if scale is None:
-        return models, responses, units
-    S, R = np.diag(units), np.diag(1 / units)
+    if scale.is_one:
+        return models, responses
+    S, R = np.diag(scale.v), np.diag(1 / scale.y)
     models = [
         model and control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
         for model in models
     ]
-    return models, responses, units
+    return models, responses
 
 
 def in_own_units(response: Response) -> Response:
     """A response in the plants' own units; its radius covers that in units of `scale`."""
-    scale, radius = response.scale, response.radius
-    models, P, _ = _in_units(1 / scale, response.models, response.P)
-    widest, low = scale.max() / scale.min(), response.low
+    back, radius, low = response.scale.inverse, response.radius, response.low
+    models, P = _in_units(back, response.models, response.P)
+    widest = back.of_P.max()
     if radius is not None:
         radius = radius * widest
     if low is not None:
-        low = Samples(low.omega, low.P * (scale[:, None] / scale), low.radius * widest)
-    one = np.ones(len(scale))
+        low = Samples(low.omega, low.P * back.of_P, low.radius * widest)
+    one = Scale(*(np.ones(len(size)) for size in back))
     return replace(response, models=tuple(models), P=P, radius=radius, scale=one, low=low)
 
 

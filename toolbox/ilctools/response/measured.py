@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from ilctools import arguments
 from ilctools.response.samples import Samples
+from ilctools.response.scale import scale_of
 from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99  # in a measured response
@@ -14,9 +15,9 @@ CONFIDENCE = 0.99  # in a measured response
 class Measured:
     """A response as known at some frequencies, and the region in which the truth lies.
 
-    A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
+    A kind has `response` (n, p, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
     `findings`, which speak against it; `estimated` is False of a table. It says what the doors here
-    ask by ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``;
+    ask by ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and ``_scaled(of_P)``;
     by ``_samples(confidence)``, if those between which it is splined are not those at `omega`, or
     else by ``_on(omega, confidence)``.
     """
@@ -50,20 +51,19 @@ class Measured:
             Frequencies, rad/s.
         confidence : float
             Probability that the truth lies within the radius at all frequencies that are known.
-        scale : array_like, shape (m,), optional
+        scale : dict or array_like, shape (m,), optional
             Units of the channels, of both response and radius; see :func:`ilctools.synthesise`.
 
         Returns
         -------
-        response : ndarray, shape (n, m, m), complex
+        response : ndarray, shape (n, p, m), complex
         radius : ndarray, shape (n,)
             What is assumed between and beyond the frequencies measured, :meth:`basis` says.
         """
         omega, own = np.abs(arguments.row("omega", omega)), self
         if scale is not None:
-            _, outputs = self.names
-            scale = arguments.by_channel("scale", scale, outputs)
-            own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
+            inputs, outputs = self.names
+            own = self._scaled(scale_of(scale, outputs, inputs).of_P)
         return own._on(omega, probability(confidence))
 
     def _samples(self, confidence):
@@ -95,8 +95,9 @@ class Measured:
     def names(self) -> tuple[list[str], list[str]]:
         """Of inputs and outputs."""
         if self.loop is None:
-            return tuple([f"{x}{i + 1}" for i in range(self.response.shape[1])] for x in "wy")
-        return self.loop.references, self.loop.outputs
+            p, m = self.response.shape[1:]
+            return [f"w{i + 1}" for i in range(m)], [f"y{i + 1}" for i in range(p)]
+        return self.loop.learned, self.loop.outputs
 
     def frd(self) -> control.FrequencyResponseData:
         """The response at `omega`, with names and sampling period, for python-control."""
@@ -138,7 +139,7 @@ class Measured:
 
 
 def radius_of(uncertainty, P) -> np.ndarray:
-    """The radius at each frequency of P, (n, m, m); one number is in units of sigma_max(P)."""
+    """The radius at each frequency of P, (n, p, m); one number is in units of sigma_max(P)."""
     if np.ndim(uncertainty) == 0:
         what = "a radius at each frequency, or one number below 1, relative to sigma_max(P)"
         uncertainty = arguments.number("uncertainty", uncertainty, what, high=1, least=0)
@@ -150,7 +151,7 @@ def radius_of(uncertainty, P) -> np.ndarray:
 
 
 def with_phase(name: str, P) -> np.ndarray:
-    """A table P, (n, m, m), refused if it is real and not constant, as no causal plant is."""
+    """A table P, (n, p, m), refused if it is real and not constant, as no causal plant is."""
     if not P.imag.any() and np.ptp(P.real, axis=0).any():
         raise ValueError(
             f"{name} is real at each frequency, but not constant, as no plant is: a gain without "

@@ -13,6 +13,7 @@ import numpy as np
 
 from ilctools.models import frequency_response
 from ilctools.response.samples import Samples
+from ilctools.response.scale import Scale
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
@@ -25,13 +26,16 @@ class Response:
     """Frequency responses of one plant or several. Made by :func:`.response_of`."""
 
     omega: np.ndarray  # (n,): rad/s
-    P: np.ndarray  # (p, n, m, m), complex, in units of `scale`; the nominal plant first
+    P: np.ndarray  # (plants, n, p, m), complex, in units of `scale`; the nominal plant first
     Ts: float  # sampling period, s
     models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
     radius: np.ndarray | None  # (n,): P may be P + Delta, ||Delta|| <= radius; None: it is P
-    scale: np.ndarray  # (m,): what counts as equally large in each channel
+    scale: Scale
     signals: Signals  # of the nominal plant
     assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
+    # what the loop makes of references, in units of `scale.y`, where v is not added to them one for one
+    of_reference: control.StateSpace | None = None
+    added: bool = True  # whether v is added to references, one for each output
     one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
     low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
 
@@ -61,7 +65,7 @@ class Response:
         )
 
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
-        """P (k, m, m) of a plant, and the radius (k,), at any frequencies.
+        """P (k, p, m) of a plant, and the radius (k,), at any frequencies.
 
         A radius of a model ends with the frequencies at which it is given.
         """

@@ -48,7 +48,7 @@ class Region(NamedTuple):
     """P + Delta W + E, ||Delta|| <= moves, ||E|| <= radius, at some frequencies."""
 
     P: np.ndarray  # (k, p, m), complex
-    W: np.ndarray  # (p or m, m)
+    W: np.ndarray  # (any, m)
     moves: float
     radius: np.ndarray  # (k,)
 
@@ -108,7 +108,7 @@ class Samples:
         times = self.omega[later] / first
         real = 3 * (self.P[later].real - P.real) / (times**2 - 1)  # as omega^2, if not by two
         try:
-            s, t = (np.linalg.norm(np.linalg.solve(P.real.T, X.T), 2) for X in (real, P.imag))
+            s, t = (np.linalg.norm(_over(X, P.real), 2) for X in (real, P.imag))
         except np.linalg.LinAlgError:
             return np.inf
         if s > t:
@@ -148,8 +148,11 @@ class Samples:
         real, imag = self.P[0].real, self.P[0].imag
         P = real + 1j * imag * (omega / self.omega[0])[:, None, None]
         radius = np.full(len(omega), self.radius[0])
-        if self.known_below:
+        if self.known_below and len(real) == real.shape[1]:
             return Region(P, real, self.moves, radius)
+        if self.known_below:  # a ball that holds Delta Re P, or Re P Delta
+            radius += self.moves * np.linalg.norm(real, 2)
+            return Region(P, np.eye(real.shape[1]), 0.0, radius)
         # about a P of that size, all that is not larger
         size = np.linalg.norm(self.P[0], 2) + self.radius[0]
         return Region(P, size * np.eye(real.shape[1]), 2.0, 0 * radius)
@@ -160,6 +163,15 @@ class Samples:
 
     def _place(self, omega):
         return self.axis(np.clip(omega, *self.omega[[0, -1]]))
+
+
+def _over(X, P):
+    """X P^-1, where P has as many rows as columns; else Delta with X = Delta P, or X = P Delta."""
+    rows, columns = P.shape
+    if rows == columns:
+        return np.linalg.solve(P.T, X.T).T
+    inverse = np.linalg.pinv(P)
+    return X @ inverse if rows > columns else inverse @ X
 
 
 def missed(x, P) -> np.ndarray:

@@ -29,6 +29,7 @@ from scipy.ndimage import label
 
 from ilctools.base import quadratic_law
 from ilctools.problem.defaults import STATIC, at_rest
+from ilctools.problem.problem import convergence_matrix
 from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
@@ -105,7 +106,8 @@ def _limits(response, M_max):
     highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > HIGH else INSIDE * omega[-1]
 
     B = quadratic_law(P, b=rest / (2 * STATIC))
-    d = np.max([*map(largest_singular_values, np.eye(P.shape[-1]) - P @ B)], axis=0)
+    ones = np.ones(len(omega))
+    d = np.max([largest_singular_values(convergence_matrix(each, ones, B)) for each in P], axis=0)
     apart = (d + largest_singular_values(response.radii[:, None, None] * B)) / M_max
     apart[: start + 1] = 0
     asked = (apart > 1) & (omega * Ts < HIGH)

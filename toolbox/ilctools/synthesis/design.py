@@ -12,7 +12,7 @@ from ilctools.evidence.finite import trial_norm
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
-from ilctools.problem.pose import checked_M_max, pose, refuse_singular
+from ilctools.problem.pose import checked_M_max, pose, refuse_singular, refuse_unless_square
 from ilctools.problem.problem import Problem, Solution
 from ilctools.response.door import LOWEST, response_of
 from ilctools.singular_values import largest_singular_values, tied
@@ -195,7 +195,6 @@ def synthesise(
     """
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
-        base = CHOOSE if order is None else None
 
     def known(Q):
         return response_of(P, omega, Ts, uncertainty, scale, Q)
@@ -281,6 +280,7 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 
 def designed(problem: Problem) -> Synthesis:
     """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
+    refuse_unless_square(problem)
     design = direct(problem) if problem.formula_will_do else None
     return certified(problem) if design is None else design
 
@@ -340,7 +340,7 @@ def result(problem, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
     L = problem.L(solution)
     return Synthesis(
-        in_units(certificate.scaled_filter, problem.scale),
+        in_units(certificate.scaled_filter, problem.scale.v, problem.scale.y),
         problem,
         certificate,
         largest_singular_values(problem.M(L)),

@@ -28,7 +28,7 @@ SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 def whitened_basis(problem):
     """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
     Q = np.abs(problem.Q)
-    P = problem.through_base(problem.P, np.arange(len(Q)))
+    P = problem.through_base(problem.turned(problem.P), np.arange(len(Q)))
     weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
     weight = np.hypot(weight, largest_singular_values(problem.L_bound))
     weight = np.maximum(weight, 1e-8 * weight.max())

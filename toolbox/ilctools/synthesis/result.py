@@ -97,12 +97,13 @@ class Synthesis:
             _, omega = labels.table_of("P", first, None)
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        scale, Q = design.scale if np.any(design.scale != 1) else None, design.lowpass
+        scale, Q = design.scale, design.lowpass
         response = response_of(P, omega, design.Ts, uncertainty, scale, Q)
         problem = pose(response, Q, order=1, L_max=None, objective="peak")
-        if problem.channels != design.channels:
+        if problem.P.shape[1:] != design.P.shape[1:]:
+            (p, m), (rows, columns) = problem.P.shape[1:], design.P.shape[:0:-1]
             raise ValueError(
-                f"P has {problem.channels} channels, but the filter has {design.channels}"
+                f"P has {p} outputs and {m} inputs, but the filter {rows} rows and {columns} columns"
             )
         check_match(design=design.response.signals, P=response.signals)
         return on_one_thread(check)(problem, self.certificate.scaled_filter).convergence

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools.errors import SolverError
-from ilctools.problem.pose import pose
+from ilctools.problem.pose import pose, refuse_unless_square
 from ilctools.response.door import response_of
 from ilctools.synthesis.design import certified, warned
 from ilctools.synthesis.everywhere import solve_everywhere
@@ -55,6 +55,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             )
     known = choices.pop("uncertainty", None), choices.pop("scale", None)
     problem = pose(response_of(P, omega, Ts, *known, Q), Q, objective="peak", L_max=None, **choices)
+    refuse_unless_square(problem)
     free = certified(problem)
     unit = ENOUGH * free.sigma_L.max()
     question = replace(problem, objective=replace(problem.objective, kind="gain"))
