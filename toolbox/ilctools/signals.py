@@ -93,7 +93,7 @@ def dataset(
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, p + 1),
     }
-    variables, role_of = {}, roles_of(learned) | {"e": "output"}
+    variables, role_of = {}, roles_of(bool(learned)) | {"e": "output"}
     for role, names in zip(ROLES, (outputs, controls, sources, sensors, learned), strict=True):
         dimension = "channel" if role in ("output", "control") else role
         labels = [units.get(name, "") for name in names]
@@ -105,9 +105,9 @@ def dataset(
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 
-def roles_of(learned) -> dict[str, str]:
-    """The role of the channels of each signal; `learned`: the inputs of v that is no reference's."""
-    return SIGNALS | {"v": "input"} if len(learned) else SIGNALS
+def roles_of(of_inputs: bool) -> dict[str, str]:
+    """The role of the channels of each signal; whether v is of inputs, and not of references."""
+    return SIGNALS | {"v": "input"} if of_inputs else SIGNALS
 
 
 def check_match(**parties) -> None:

@@ -3,6 +3,8 @@
 Lemma 1 is about signals without end; here the two ends of the trial are included.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.sparse import diags_array, eye_array
@@ -19,6 +21,8 @@ LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half 
 # Rounds of it, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows: it takes
 # no longer. Many directions that grow alike, as those that a long delay leaves alone, need it.
 ROUNDS, DENSE = 60, 1000
+MOST_REACHED = 4000  # numbers in v, of which a basis takes 10 s
+RANK = 1e-10  # of the largest singular value of Q_N L_N: what is less is rounding
 
 
 def trial_operators(
@@ -124,7 +128,8 @@ def trial_norm(
     Returns
     -------
     norm : float
-        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. Below one for trials = 1, v converges
+        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||; with more inputs than outputs, among
+        those that Q L makes of errors, see :func:`reached`. Below one for trials = 1, v converges
         monotonically. Lanczos approaches it from below, or a RuntimeError says that it does not
         converge; short trials have an SVD, and those of up to 1000 values where Lanczos needs long.
     before, after : ndarray, shape (samples, m)
@@ -146,6 +151,35 @@ def trial_norm(
     """
     trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials
+    norm, before, after = _largest(T if L.rows <= L.columns else T @ reached(Q, L, samples, rest))
+    if L.rows > L.columns:
+        before = reached(Q, L, samples, rest) @ before
+    return norm, before.reshape(samples, -1), after.reshape(samples, -1)
+
+
+@lru_cache(maxsize=4)
+def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> sparse.LinearOperator:
+    """Orthonormal columns that span what Q_N L_N makes of errors.
+
+    With more inputs than outputs, P_N maps most v to zero. Such a v shrinks by Q_N alone, so that
+    the norm of T among all v is one. From v = 0 the law makes next to nothing of such v.
+    """
+    size = samples * L.rows
+    if size > MOST_REACHED:
+        raise ValueError(
+            f"samples = {samples} with {L.rows} learned inputs and {L.columns} outputs are {size} "
+            f"numbers, more than {MOST_REACHED}, for which the norm takes minutes: take a shorter "
+            "trial"
+        )
+    errors = np.eye(samples * L.columns).reshape(-1, samples, L.columns)
+    made = Q.apply(L.apply(errors))
+    made[:, samples - rest :] = 0
+    U, S, _ = np.linalg.svd(made.reshape(len(made), -1).T, full_matrices=False)
+    return sparse.aslinearoperator(U[:, S > RANK * S[0]])
+
+
+def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
+    """The largest singular value of an operator, and its vectors, before and after."""
     size = T.shape[1]
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
@@ -160,8 +194,7 @@ def trial_norm(
                 raise
             before = np.linalg.svd(T @ np.eye(size))[2][0]
     after = T.matvec(before)
-    norm = float(np.linalg.norm(after))
-    return norm, before.reshape(samples, -1), after.reshape(samples, -1)
+    return float(np.linalg.norm(after)), before, after
 
 
 def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float]:
@@ -174,8 +207,8 @@ def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
     settled = max(10 * settled, *(2 * _delay(P) for P in plants))
     samples = int(min(settled + SHORTEST, LONGEST / L.rows))
-    if len(plants) == 1:
-        return samples, trial_norm(plants[0], Q, L, samples)[0]
+    if len(plants) == 1 or L.rows > L.columns:
+        return samples, max(trial_norm(P, Q, L, samples)[0] for P in plants)
     return samples, largest_trial_norm(plants, Q, L, samples)
 
 

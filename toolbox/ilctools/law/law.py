@@ -105,15 +105,27 @@ class Law:
 
     @property
     def outputs(self) -> list[str] | None:
-        """Names of the channels, of a law that is bound to a loop."""
+        """Names of the outputs whose errors it takes, of a law that is bound to a loop."""
         return getattr(self.loop, "outputs", None)
 
     @property
-    def channels(self) -> int | None:
-        """Number of channels; None if neither L nor a loop says it."""
-        if self.L is not None:
-            return self.L.channels
-        return self.outputs and len(self.outputs)
+    def inputs(self) -> list[str] | None:
+        """Names of the channels of v: of the learned inputs, or of the outputs whose references v is
+        added to; of a law that is bound to a loop.
+        """
+        if self.loop is None:
+            return None
+        return self.loop.outputs if self.loop.one_for_one else self.loop.learned
+
+    @property
+    def rows(self) -> int | None:
+        """Number m of channels of v; None if neither L nor a loop says it."""
+        return self.L.rows if self.L is not None else self.inputs and len(self.inputs)
+
+    @property
+    def columns(self) -> int | None:
+        """Number p of channels of the error; None if neither L nor a loop says it."""
+        return self.L.columns if self.L is not None else self.outputs and len(self.outputs)
 
     @property
     def known_limits(self) -> dict[str, tuple[float, float]]:
@@ -155,12 +167,12 @@ class Law:
     def first(self, samples: int, v=None) -> np.ndarray:
         """The signal of the first trial, shape (samples, m): `v`, or zero; zero in the rest."""
         rest = arguments.whole("rest", self.rest, 0, samples - 1)
-        shape = samples, self.channels
+        shape = samples, self.rows
         v = np.zeros(shape) if v is None else v
-        v = arguments.in_columns("v", v, shape, self._names(v))
+        v = arguments.in_columns("v", v, shape, self._names(v, self.inputs, self.rows))
         v[samples - rest :] = 0
         if self.L is not None:
-            self.L.apply(np.zeros(shape))  # which one for other trials refuses, before any is run
+            self.L.apply(np.zeros((samples, self.columns)))  # which one for other trials refuses, before any is run
         return v
 
     def next(self, v, e, u=None, applied=None) -> np.ndarray:
@@ -175,16 +187,17 @@ class Law:
 
         Parameters
         ----------
-        v, e : array_like, shape (time, m), or (time,) of one channel
-            ILC signal and tracking error, reference - y, of the trial just done, both in the unit
-            of the output; the time first, which a square array cannot show. Labelled signals
-            (columns, or coordinates) are matched by name, for which a law of several channels must
-            be bound to a loop.
-        u : array_like, shape (time, m), optional
+        v : array_like, shape (time, m), or (time,) of one channel
+            ILC signal of the trial just done; the time first, which a square array cannot show.
+            Labelled signals (columns, or coordinates) are matched by name, for which a law of
+            several channels must be bound to a loop.
+        e : array_like, shape (time, p), or (time,) of one channel
+            Its tracking error, reference - y.
+        u : array_like, shape (time, commands), optional
             Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
-            its controls, of a ClosedLoop w = reference + v. Also of a first trial, where v is zero
+            its controls, of a ClosedLoop its inputs w. Also of a first trial, where v is zero
             and they are not.
-        applied : array_like, shape (time, m), optional
+        applied : array_like, shape (time, commands), optional
             What the actuators made of u, and the observer was informed of. Default: u, cut off at
             the limits.
 
@@ -203,9 +216,10 @@ class Law:
         if self.L is None:
             arguments.array("v", v, (...,))
             return copy(v)
-        labelled, names = v, self._names(v, e)
-        v = arguments.in_columns("v", v, (..., "time", self.channels), names)
-        e = arguments.in_columns("e", e, v.shape, names)
+        labelled, names = v, self._names(v, self.inputs, self.rows)
+        v = arguments.in_columns("v", v, (..., "time", self.rows), names)
+        of_e = self._names(e, self.outputs, self.columns)
+        e = arguments.in_columns("e", e, (*v.shape[:-1], self.columns), of_e)
         rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
         v, applied = self.applied(v, u, applied)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
@@ -217,12 +231,12 @@ class Law:
             following = projected(self.loop, self.actuators, v, applied, following, weight, rest)
         return arguments.labelled_as(labelled, following, names)
 
-    def _names(self, *signals):
-        """Names of the channels; of a law without a loop, labels cannot be matched with L."""
-        if self.outputs or self.channels is None:
-            return self.outputs
-        labels = next(filter(None, map(arguments.names_of, signals)), [""] * self.channels)
-        if any(labels) and self.channels > 1:
+    def _names(self, signal, known, count):
+        """Names of v's or e's channels; of a law without a loop, they cannot be matched with L."""
+        if known or count is None:
+            return known
+        labels = arguments.names_of(signal) or [""] * count
+        if any(labels) and count > 1:
             raise ValueError(
                 f"v or e holds the signals {reprlib.repr(labels)}, of which a law without a loop "
                 "does not know the order: bind it, law.bound_to(loop), or pass an array"
@@ -235,12 +249,12 @@ class Law:
             return v, applied
         if u is None:
             raise ValueError("u = None: with limits, the trial's commands are needed")
-        commands = self.loop.commands
-        u = arguments.in_columns("u", u, v.shape, commands)
+        commands, shape = self.loop.commands, (*v.shape[:-1], len(self.loop.commands))
+        u = arguments.in_columns("u", u, shape, commands)
         if applied is None:
             applied = self.actuators.follow(u)
         else:
-            applied = arguments.in_columns("applied", applied, v.shape, commands)
+            applied = arguments.in_columns("applied", applied, shape, commands)
         return self.loop.realised(v, u, applied), applied
 
 

@@ -100,7 +100,7 @@ def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, f
 
 def check_solver(loop: Loop) -> None:
     """Refuse to learn within limits, before any trial, where there is no solver for it."""
-    if loop.P is not None and piqp is None:
+    if loop.P_v is not None and piqp is None:
         raise ImportError(
             "limits of a law need the package piqp: install it, by pip install piqp, or leave the "
             "limits out, Law(..., limits={})"
@@ -116,12 +116,14 @@ def projected(
     """
     active, change = len(v) - rest, target - v
     applicable = np.zeros_like(v)
-    if loop.P is None:
-        u = applied + change
-        applicable[:active] = (target + actuators.follow(u) - u)[:active]
+    P = loop.P_v
+    if P is None:
+        no_reference = np.zeros((len(v), len(loop.outputs)))
+        u = applied + loop.w(no_reference, change)
+        applicable[:active] = loop.realised(target, u, actuators.follow(u))[:active]
         return applicable
     K, N = _feedback(loop)
-    x = state_sequence(loop.P.A, change @ loop.P.B.T, np.zeros(loop.P.nstates))
+    x = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
     u = (applied + x @ K.T + change @ N.T)[:active]  # the commands of the target
     if actuators.can(u):
         return target
@@ -130,15 +132,15 @@ def projected(
 
 
 def _feedback(loop):
-    """K and N of the commands u = K x + N w, x the states of P."""
+    """K and N of the commands u = K x + N v, x the states of P."""
     if isinstance(loop, ClosedLoop):
-        m = len(loop.outputs)
-        return np.zeros((m, loop.P.nstates)), np.eye(m)
+        commands = len(loop.commands)
+        return np.zeros((commands, loop.P.nstates)), np.eye(commands)[:, loop.places]
     return -loop.Ks, loop.N
 
 
 def _nearest(loop, actuators, u, weight, samples):
-    """The least change z of a target whose commands would be u, both of shape (active, m).
+    """The least change z, (active, m), of a target whose commands would be u, (active, commands).
 
     minimise    sum_p ||y(p)||^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
     subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
@@ -150,7 +152,8 @@ def _nearest(loop, actuators, u, weight, samples):
     size = np.abs(actuators.follow(u) - u).max()
     low = (actuators.lowest + margin - u).ravel() / size
     high = (actuators.highest - margin - u).ravel() / size
-    limited = np.isfinite(low) | np.isfinite(high)
+    moved = np.diff(commands.indptr) > 0  # by v; others are cut off if they must be
+    limited = moved & (np.isfinite(low) | np.isfinite(high))
 
     solver = piqp.SparseSolver()
     solver.settings.reg_lower_limit = REGULAR
@@ -164,12 +167,14 @@ def _nearest(loop, actuators, u, weight, samples):
             f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
             "the loop's signals of very different sizes?"
         )
-    return size * solver.result.x[-u.size :].reshape(u.shape)
+    change = solver.result.x[-len(u) * loop.P_v.ninputs :]
+    return size * change.reshape(len(u), -1)
 
 
 def _program(loop, weight, samples, active):
     """Of all x, then of all z before the rest: the cost / weight, the dynamics, the commands."""
-    P, (K, N), m, n = loop.P, _feedback(loop), len(loop.outputs), loop.P.nstates
+    P, (K, N) = loop.P_v, _feedback(loop)
+    n, p, m = P.nstates, P.noutputs, P.ninputs
     A, B, CK = balanced(P, K)  # else feasible programs may fail
     now = sparse.eye_array(samples, format="csc")
     before = sparse.eye_array(samples, k=-1, format="csc")
@@ -179,7 +184,8 @@ def _program(loop, weight, samples, active):
             [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)], format="csr"
         )
 
-    y = rows(now, CK[:m], P.D)
+    y = rows(now, CK[:p], P.D)
     of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
     dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, A, B)
-    return y.T @ y / weight + sparse.diags_array(of_z), dynamics, rows(now, CK[m:], N)[: active * m]
+    commands = rows(now, CK[p:], N)[: active * len(N)]
+    return y.T @ y / weight + sparse.diags_array(of_z), dynamics, commands

@@ -23,7 +23,8 @@ from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.pooled import isometry
 from ilctools.signals import Signals, check_match
 
-FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file, see `is_newer`
+# of the file: the second see `is_newer`, the third for other numbers of inputs than of outputs
+FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3")
 # What is not noted, in a file and in a log; step is the learning gain, actuators are the limits.
 # A file leaves them to the rig, if it does not say {}; a log was made within those that it names.
 OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG}
@@ -66,7 +67,10 @@ def model_from(note):
 
 def loop_note(loop: Loop) -> str:
     """A loop as JSON."""
-    return text_of({part.name: getattr(loop, part.name) for part in fields(loop)})
+    note = {part.name: getattr(loop, part.name) for part in fields(loop)}
+    if isinstance(loop, ClosedLoop) and loop.one_for_one:  # as in notes before there was a choice
+        del note["references"], note["learned"]
+    return text_of(note)
 
 
 def loop_of(trials: xr.Dataset) -> Loop | None:
@@ -105,13 +109,16 @@ def _filter_note(L):
     note = {"coefficients": K.coefficients, "ends": K.ends}
     if K.first == 1 and B is None:
         return note
-    return note | {"first": K.first, "base": B and _base_note(B)}
+    note |= {"first": K.first, "base": B and _base_note(B)}
+    return note | {"K_first": False} if B and not L.K_first else note
 
 
 def _base_note(B):
     """A base, with E where it is not that of models which stand one below the other."""
     note = {"b": B.b, "scale": B.scale, "P": B.P}
-    return note if np.array_equal(B.E, _stacked(B.P)) else note | {"E": B.E}
+    if not np.array_equal(B.E, _stacked(B.P)):
+        note["E"] = B.E
+    return note if np.array_equal(B.scale_y, B.scale) else note | {"scale_y": B.scale_y}
 
 
 def _stacked(P):
@@ -126,12 +133,13 @@ def _law_from(Ts, Q, L, rest, step, actuators):
     return Law(ZeroPhaseButterworth(Ts=Ts, **Q), L, rest, step, actuators)
 
 
-def _filter_from(Ts, base=None, **taps):
+def _filter_from(Ts, base=None, K_first=True, **taps):
     K = LearningFilter(Ts=Ts, **taps)
     if base is None:
         return K
     P = model_from(base["P"])
-    return RegularisedInverse(**{"E": _stacked(P)} | base | {"P": P}) @ K
+    B = RegularisedInverse(**{"E": _stacked(P)} | base | {"P": P})
+    return Composition(B, K, arguments.flag("K_first", K_first))
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
@@ -199,7 +207,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     ----------
     path : path-like
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
-        shape (m, m, order), ends; if it looks back or has a base, first and base: null, or b,
+        shape (m, p, order), ends; if it looks back or has a base, first and base: null, or b,
         scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
         gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``, the
         second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
@@ -228,7 +236,8 @@ def save_law(path, law: Law, note: str = "") -> None:
     arguments.instance("L", arguments.instance("law", law, Law).L, Filter)
     arguments.instance("note", note, str)
     notes = law_notes(law)
-    content = {"format": FORMATS[is_newer(text_of(notes))], "Ts": law.Ts, **notes, "note": note}
+    number = is_newer(text_of(notes)) if law.rows == law.columns else 2
+    content = {"format": FORMATS[number], "Ts": law.Ts, **notes, "note": note}
     text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
     keep_others(path, text[: text.index("law")])  # raw data, say
     write_whole(path, text)

@@ -17,10 +17,10 @@ from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.files import keep_others, write_pieces
 from ilctools.law.notes import is_newer
-from ilctools.signals import SIGNALS, period_of
+from ilctools.signals import SIGNALS, period_of, roles_of
 
-# the second where the note of L `is_newer`
-FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
+# the second where the note of L `is_newer`, the third where v is of inputs
+FORMATS = ("rodlib trial log 2", "rodlib trial log 3", "rodlib trial log 4")
 KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
 
@@ -74,8 +74,9 @@ def save_log(trials: xr.Dataset, path) -> None:
 def write_log(trials: xr.Dataset, path) -> None:
     """Write a log, whatever is there."""
     signals, Ts = signals_of(trials), period_of(trials)
+    format_number = 2 if "inputs" in signals else is_newer(str(trials.attrs.get("L")))
     metadata = {
-        "format": FORMATS[is_newer(str(trials.attrs.get("L")))],
+        "format": FORMATS[format_number],
         "Ts": f"{Ts!r} s",
         "signals": json.dumps(signals, ensure_ascii=False),
         **_free_metadata(trials.attrs),
@@ -108,7 +109,8 @@ def rows_as_text(number: int, times, signals: Sequence[np.ndarray]) -> Iterator[
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     """Names and units of the signals by role, as in the metadata; refuses incomplete trials."""
-    roles = dict.fromkeys(SIGNALS[signal] for signal in SIGNALS if signal in trials)
+    role_of = roles_of("input" in trials.coords)
+    roles = dict.fromkeys(role_of[signal] for signal in SIGNALS if signal in trials)
     needed = {"y", "trial", "time", *needed, *roles, *(f"{role}_unit" for role in roles)}
     if missing := sorted(needed - {*trials.variables}):
         raise ValueError(
@@ -152,7 +154,7 @@ def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]
     absent = [name for group in OPTIONAL if {*group}.isdisjoint(present) for name in group]
     return {
         signal: [f"{signal}_{name}" for name in signals[ROLES[role]]]
-        for signal, role in SIGNALS.items()
+        for signal, role in roles_of("inputs" in signals).items()
         if signals.get(ROLES[role]) and signal not in absent
     }
 

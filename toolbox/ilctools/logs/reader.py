@@ -193,6 +193,6 @@ def trials_of(table: pd.DataFrame, signals: Mapping, Ts: float, notes: dict) -> 
         signal: table[titles].to_numpy().reshape(len(trial), -1, len(titles))
         for signal, titles in columns.items()
     }
-    *channels, sensors = ([*signals.get(role, ())] for role in ROLES.values())
-    trials = dataset(Ts, *channels, check_signals(signals), sensors, **arrays)
+    *channels, sensors, learned = ([*signals.get(role, ())] for role in ROLES.values())
+    trials = dataset(Ts, *channels, check_signals(signals), sensors, learned, **arrays)
     return trials.assign_coords(trial=trial).assign_attrs(notes)

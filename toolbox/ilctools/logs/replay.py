@@ -48,6 +48,11 @@ class Replay:
         return self.trials.output.values.tolist()
 
     @property
+    def inputs(self) -> list[str]:
+        """Names of the channels of v."""
+        return self.trials["input" if "input" in self.trials.coords else "output"].values.tolist()
+
+    @property
     def numbers(self) -> list[int]:
         """Numbers of the trials."""
         return self.trials.trial.values.tolist()
@@ -95,7 +100,7 @@ class Replay:
         if self.loop.asked(self.trials) is None:
             return None
         actuators = self.law and self.law.actuators
-        known = self.trials.assign(disturbance=(("trial", "time", "input"), self.disturbance))
+        known = self.trials.assign(disturbance=(("trial", "time", "known"), self.disturbance))
         outputs = []
         for part in from_rest_to_rest(known):
             applied = part.get("applied", self.loop.asked(part))
@@ -132,11 +137,11 @@ class Replay:
             expected[0] = 0
         for k in np.flatnonzero(np.diff(self.numbers) == 1):
             expected[k + 1] = next_v(self.law, v[k], True, parts[: k + 1])
-        return self._by_trial(np.abs(v - expected).max(axis=1))
+        return self._by_trial(np.abs(v - expected).max(axis=1), self.inputs)
 
-    def _by_trial(self, values):
-        """A table of values (trial, output)."""
-        return pd.DataFrame(values, pd.Index(self.numbers, name="trial"), self.outputs)
+    def _by_trial(self, values, names=None):
+        """A table of values (trial, output), or of other channels by their names."""
+        return pd.DataFrame(values, pd.Index(self.numbers, name="trial"), names or self.outputs)
 
     @property
     def following(self) -> np.ndarray | None:
@@ -176,7 +181,8 @@ class Replay:
         different = (departure > rounding).stack()
         if different.any():
             number, name = different.idxmax()
-            unit = self.trials.output_unit.values[self.outputs.index(name)]
+            units = self.trials["input_unit" if "input" in self.trials.coords else "output_unit"]
+            unit = units.values[self.inputs.index(name)]
             amount = f"{departure.loc[number, name]:.1e} {unit}".strip()
             return f"v departs from the law from trial {number} on, by {amount} in {name}"
         unchecked = departure.index[departure.isna().all(axis=1)].tolist()

@@ -328,7 +328,8 @@ class ClosedLoop:
     @property
     def one_for_one(self) -> bool:
         """Whether v is added to the references, one for each output in their order."""
-        return self.learned == self.inputs and [*self.references.values()] == self.outputs
+        own = [self.references.get(name) for name in self.inputs]
+        return self.learned == self.inputs and own == self.outputs
 
     @property
     def places(self) -> list[int]:

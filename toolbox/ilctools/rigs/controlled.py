@@ -48,17 +48,19 @@ class ControlledRig:
             self.interrupts.call(self.about.begin, trial)
             self.controller = self.new_controller()
 
-    def pause(self, trial: int, samples: int | None, w, start: Start) -> str:
-        """Hold w before a trial for so many samples; None: until the rig stands at its start.
+    def pause(self, trial: int, samples: int | None, reference, start: Start) -> str:
+        """Hold a reference (output,) before a trial for so many samples; None: until the rig stands.
 
         Returns what there is to be warned of.
         """
         flows, length, still = np.zeros(len(self.about.signals.commanded)), self.about.samples, 0
         longest = round(LONGEST_PAUSE * length) if samples is None else samples
+        loop = self.about.loop
+        w = loop.w(reference, np.zeros(len(loop.learned)))
         for p in range(longest):
             self.place = f"pause before trial {trial}, sample {p + 1}"
             y = self.sample(w, flows)["y"]
-            still = still + 1 if start.near(y, w) else 0
+            still = still + 1 if start.near(y, reference) else 0
             if samples is None and still >= STANDSTILL * length:
                 return ""
         text = f"before trial {trial} the outputs were not back and still after {longest} samples"

@@ -139,10 +139,13 @@ class Experiment:
                     rig.restless = rig.pause(number, self.pause, reference[0], start)
             return rig.drive(number, w, self.flows[number - 1, now], bar, now.start)
 
-        return joined(learn(respond, self.v_after, reference, past))  # (22), (23)
+        loop = self.about.loop
+        return joined(learn(loop, respond, self.v_after, reference, past))  # (22), (23)
 
     def log_of(self, past: Past) -> xr.Dataset:
         """The log of the trials that have ended."""
         loop, signals = self.about.loop, joined(past.trials, np.stack)
         names = loop.outputs, loop.controls, self.about.signals.disturbances
-        return dataset(loop.Ts, *names, loop.units, **signals).assign_attrs(past.notes)
+        learned = () if loop.one_for_one else loop.learned
+        log = dataset(loop.Ts, *names, loop.units, learned=learned, **signals)
+        return log.assign_attrs(past.notes)

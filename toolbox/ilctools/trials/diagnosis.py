@@ -110,7 +110,8 @@ def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Trials with what (23) takes from v, (1 - Q) v, and with what it adds, Q L e."""
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
-    return trials[["e", "reference"]].assign(forgotten=(AXES, forgotten), learned=(AXES, learned))
+    axes = trials.v.dims
+    return trials[["e", "reference"]].assign(forgotten=(axes, forgotten), learned=(axes, learned))
 
 
 def error_grows(trials: SimpleNamespace) -> dict:
@@ -163,7 +164,7 @@ def known_plants(law: Law) -> list[Callable]:
     These are the plants of the design, if it knew more than one exact model; else the loop's P;
     else the model of the design; else, of a law that was read from a file, the model in its L.
     """
-    region, model = law.region, getattr(law.loop, "P", None)
+    region, model = law.region, getattr(law.loop, "P_v", None)
     if region is None and model is None:
         model = model_in(law.L)
     alone = region is None or (
@@ -185,15 +186,17 @@ def model_in(L) -> control.StateSpace | None:
     P = getattr(B, "P", None)
     if not isinstance(B, RegularisedInverse):
         return P
-    mean = B.scale[:, None] * B.E.T
+    mean = B.scale_y[:, None] * B.E.T
     model = control.ss(P.A, P.B / B.scale, mean @ P.C, mean @ P.D / B.scale, P.dt)
+    if model.ninputs != model.noutputs:
+        return model
     coupling = frequency_response(model, GRID / P.dt) * (1 - np.eye(P.ninputs))
     return model if P.ninputs == 1 or coupling.any() else None
 
 
 def plant_error(law: Law) -> float:
     """Relative error of P that is no news: none if the loop's P or a radius says what P is."""
-    model, radius = getattr(law.loop, "P", None), getattr(law.region, "radius", None)
+    model, radius = getattr(law.loop, "P_v", None), getattr(law.region, "radius", None)
     return PLANT_ERROR if model is None and radius is None else 0.0
 
 
@@ -201,11 +204,11 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     """Trials with P v from rest, by which v lowers the error, and what the radius may add to it.
 
     And with `kept`, what Q never learns of the error without v, and with `moves`, what P makes of
-    w = r + v from rest where w begins.
+    w = r + v from rest where w begins; of v alone where v is not added to references.
     """
     parts = [*from_rest_to_rest(trials)]
     v = np.array([applied_v(law, part) for part in parts])
-    w = v + [part["reference"] for part in parts]
+    w = v + [part["reference"] for part in parts] if "input" not in trials.v.dims else v
     samples = v.shape[1]
     # by transforms of twice the length, after which the impulse response has decayed
     response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
@@ -213,7 +216,7 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     def through(gain, signals):
         spectra = gain @ np.fft.rfft(signals, 2 * samples, axis=1)[..., None]
         made = np.fft.irfft(spectra[..., 0], axis=1)[:, :samples]
-        return made.reshape(trials.v.shape)
+        return made.reshape(*trials.e.shape[:2], -1)
 
     effect, moves = through(response, v), through(response, w - w[:, :1])
     spread = through(radius[:, None, None] * np.eye(v.shape[2]), v)
@@ -222,7 +225,7 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
         effect=(AXES, effect),
         moves=(AXES, moves),
         kept=(AXES, free - law.Q.apply(free)),  # (1 - Q) e_free
-        spread=(("trial", "time", "input"), spread),
+        spread=(("trial", "time", "learned"), spread),
     )
 
 
@@ -263,7 +266,8 @@ def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: i
     uncertain = rms_by_octave(spread) + plant_error(law) * rms_by_octave(change)
     promised = (rms_by_octave(e[before] - change) + uncertain) / size  # (2)
     bound = 1 - law.gain + law.gain * (sigma + rms_by_octave(kept[before]) / size)  # (1)
-    bound = np.maximum(bound, promised)
+    # (1) is about the error only where M is
+    bound = promised if law.L.rows < law.L.columns else np.maximum(bound, promised)
     measured = rms_by_octave(e[k]) / size
     return {
         "bound": bound,

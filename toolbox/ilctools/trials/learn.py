@@ -30,11 +30,15 @@ def disturbances_of(loop: Loop, disturbance, trials: int, samples: int) -> np.nd
 
 
 def learn(
-    respond: Callable, following: Callable, reference: np.ndarray, past: Sequence[Part] = ()
+    loop: Loop,
+    respond: Callable,
+    following: Callable,
+    reference: np.ndarray,
+    past: Sequence[Part] = (),
 ) -> list[Part]:
-    """Learn what a reference (time, m) asks for, in parts; with a reset each is a trial.
+    """Learn what a reference (time, p) asks for, in parts; with a reset each is a trial.
 
-        w_k = r + v_k                                                                        (22)
+        w_k = r + v_k, or F r + G v_k                                                        (22)
         v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
 
     `following(parts)` is (23) after these parts, see :func:`next_v`; `respond(w, now)` applies w
@@ -45,7 +49,7 @@ def learn(
         v = following([*past, *parts])[: len(reference) - done]  # (23)
         now = slice(done, done + len(v))
         r = reference[now]
-        parts.append({"v": v, "reference": r} | respond(r + v, now))  # (22)
+        parts.append({"v": v, "reference": r} | respond(loop.w(r, v), now))  # (22)
         done = now.stop
     return parts
 

@@ -42,7 +42,7 @@ def run_trials(
 ) -> xr.Dataset:
     """Simulate trials of a loop under a law: w_k = r + v_k, v_{k+1} = Q (v_k + L e_k).
 
-    These are (22) and (23) of the paper, the loop (19); a start is the same in all trials.
+    Of a loop whose inputs are named, w_k = F r + G v_k. These are (22) and (23) of the paper, the loop (19); a start is the same in all trials.
 
     All signals are in the units of the loop's plant. Labelled signals, by the columns of a
     DataFrame or a coordinate of a DataArray, are matched by name. Of one channel, signals may have
@@ -52,10 +52,11 @@ def run_trials(
     Parameters
     ----------
     loop : CurrentTrialLoop or ClosedLoop
-        With m outputs and d disturbances. Of a ClosedLoop only P is simulated, no disturbance.
+        With p outputs, m learned inputs and d disturbances. Of a ClosedLoop only P is simulated,
+        no disturbance.
     law : Law
         With limits, commands are cut off at them, and the observer is informed of that.
-    reference : array_like, shape (time, m) or (trial, time, m)
+    reference : array_like, shape (time, p) or (trial, time, p)
         Reference trajectory, of all trials or of each.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         In the order of ``loop.disturbances``. Default zero.
@@ -63,7 +64,7 @@ def run_trials(
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`; for
         a ClosedLoop, another P.
-    noise : array_like, shape (trial, time, m), optional
+    noise : array_like, shape (trial, time, p), optional
         Added to what the sensors report: both observer and learning see it; of a ClosedLoop,
         learning only.
     initial_state : array_like, shape (n,), optional
@@ -84,8 +85,9 @@ def run_trials(
         The signals reference, v, u, y, delta (the estimate of the input disturbance), disturbance,
         and e = reference - y, the error that the controller sees. Each has the dimensions trial
         (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
-        channels have the coordinates output, control, output_unit and control_unit. Of a
-        ClosedLoop there are no u and delta. With limits, applied is what they leave of u.
+        channels have the coordinates output, control, output_unit and control_unit. Where v is not
+        added to references one for one, it has the dimension input. Of a ClosedLoop there are no u
+        and delta. With limits, applied is what they leave of u.
 
     Warns
     -----
@@ -131,7 +133,8 @@ def run_trials(
     following = partial(next_v, law, first, reset)
     signals = _learned(simulated, following, reset, r, d, noise)
     names = loop.outputs, loop.controls, loop.disturbances
-    result = dataset(loop.Ts, *names, loop.units, **signals, disturbance=d)
+    learned = () if loop.one_for_one else loop.learned
+    result = dataset(loop.Ts, *names, loop.units, learned=learned, **signals, disturbance=d)
     if not reset:
         result.attrs[RESET] = NO_RESET
     for text in _warnings(result, law, plant is None, reset and initial_state is None):
@@ -150,21 +153,23 @@ def _learned(simulated, following, reset, *inputs):
                 simulated.reset()
             return simulated.part(w, flows[now], white[now])
 
-        signals = joined(learn(respond, following, references))  # (22), (23)
-    return {name: x.reshape(*inputs[0].shape[:2], -1) for name, x in signals.items()}
+        signals = joined(learn(simulated.loop, respond, following, references))  # (22), (23)
+    trials, samples, _ = inputs[0].shape
+    return {name: x.reshape(trials, samples, -1) for name, x in signals.items()}
 
 
 class _Simulated:
     """The loop (19) around a plant, or P of a loop whose controller is not ours, by samples."""
 
     def __init__(self, loop, plant, actuators, initial_state):
-        self.loop, self.actuators, m = loop, actuators, len(loop.outputs)
+        self.loop, self.actuators = loop, actuators
         self.ours, estimated = isinstance(loop, CurrentTrialLoop), 0
         if self.ours:
             model, estimated = whole_loop(loop, plant), len(loop.KL)
         else:  # its commands are w
             P = loop.model(plant)
-            C, D = np.vstack([P.C, 0 * P.C]), np.vstack([P.D, np.eye(m)])
+            m = P.ninputs
+            C, D = np.vstack([P.C, np.zeros((m, P.nstates))]), np.vstack([P.D, np.eye(m)])
             model = control.ss(P.A, P.B, C, D, P.dt)
         self.model, n = model, model.nstates - estimated
         x = np.zeros(n) if initial_state is None else initial_state
@@ -198,12 +203,14 @@ class _Simulated:
 
     def within_limits(self, inputs):
         """Inputs whose w asks for what is applied, and what is asked for with the w given."""
-        model, m = self.model, len(self.loop.outputs)
-        inputs, u = inputs.copy(), np.empty((len(inputs), m))
+        model, outputs, m = self.model, len(self.loop.outputs), len(self.loop.inputs)
+        inputs, u = inputs.copy(), np.empty((len(inputs), len(self.loop.commands)))
         x = self.state
         for p, now in enumerate(inputs):
-            u[p] = model.C[m:] @ x + model.D[m:] @ now
-            now[:m] = self.loop.realised(now[:m], u[p], self.actuators.follow(u[p]))
+            u[p] = model.C[outputs:] @ x + model.D[outputs:] @ now
+            applied = self.actuators.follow(u[p])
+            # of a loop whose controller is not ours, the commands are w
+            now[:m] = self.loop.realised(now[:m], u[p], applied) if self.ours else applied
             x = model.A @ x + model.B @ now
         return inputs, u
 
@@ -212,10 +219,10 @@ def _warnings(result, law, exact, from_rest):
     """What trials show, and what of their reference and their limits."""
     yield from diagnose(result, law, exact=exact).values()
     if law.actuators is not None:
-        u = law.loop.asked(result).values
+        u = np.asarray(law.loop.asked(result))
         if beyond := commands_beyond(u, law.loop.commands, law.known_limits):
             yield beyond + CUT_OFF
-    if not result.y.any() and law.loop.asked(result).any():
+    if not result.y.any() and np.any(law.loop.asked(result)):
         yield (
             f"no output moves in the {result.sizes['time']} samples of a trial: it is not longer "
             "than the delay of the plant"

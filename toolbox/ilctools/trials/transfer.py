@@ -139,6 +139,11 @@ def _signals(trials):
     for task in trials if isinstance(trials, list | tuple) and trials else [trials]:
         task = arguments.instance("trials", task, xr.Dataset)
         task = task if "trial" in task.dims else task.expand_dims("trial")
+        if "input" in task.coords:
+            raise ValueError(
+                f"trials have a v of {task.input.values.tolist()}, but transfer needs one that is "
+                "added to references, one for each output"
+            )
         if RESET in task.attrs or not all(
             name in task and {*task[name].dims} == {*AXES} for name in signals
         ):
