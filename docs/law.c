@@ -1,7 +1,7 @@
 /* The next trial's signal in C99, for a target without Python: v_{k+1} = Q (v_k + L e_k), (23).
 
    It reads a file of ilctools.save_law and, from the standard input, a line for each sample of the
-   trial with v and e of all channels; it prints the next v, a line for each sample. If a trial
+   trial with v and then e, of all their channels; it prints the next v, a line for each sample. If a trial
    breaks off, or if v, e, a number of the file or the next v is not finite, it prints nothing, says
    why on the standard error and exits with 1. How many samples a whole trial has, its caller may
    say.
@@ -25,7 +25,7 @@ static const char *const NAMES[KEYS] = {"format", "note", "ends", "Q", "L", "bas
 static const double PI = 3.14159265358979323846, ROUNDING = 4e-15;
 static double scalar[KEYS] = {[GAIN] = 1, [FIRST] = 1}, sos[300], taps[MOST];
 static double made[SAMPLES], v[SAMPLES], e[SAMPLES], once[2 * SAMPLES];
-static int sizes[KEYS][3], of_L, newer;  /* of arrays; keys of L; whether it is the second format */
+static int sizes[KEYS][3], of_L, format;  /* of arrays; keys of L; the number of the format */
 static char text[1 << 24], *at = text, word[LETTERS];  /* the file, where the reader is, a string */
 
 static int next(char mark)
@@ -90,8 +90,8 @@ static int object(int all, int others)
         seen |= 1 << key;
         need(':');
         if (key <= ENDS) string();
-        if (key == FORMAT) newer = !strcmp(word, "rodlib law 2");
-        if (key == FORMAT && !newer && strcmp(word, "rodlib law 1")) DAMAGED("unknown format");
+        if (key == FORMAT) format = strncmp(word, "rodlib law ", 11) ? 0 : word[11] - '0';
+        if (key == FORMAT && (format < 1 || format > 3 || word[12])) DAMAGED("unknown format");
         if (key == ENDS && strcmp(word, "zero"))
             DAMAGED("ends must be zero; of a model, synthesise with reach");
         if (key == Q) object(1 << ORDER | 1 << CUT | 1 << ENDS, 0);
@@ -134,17 +134,19 @@ static double decay(void)
     return ceil(log(1e-18) / log(radius));
 }
 
-/* out = L in of n samples of m channels, by the taps of L from q^first on; beyond the ends zero. */
-static void look(const double *L, int order, int first, const double *in, double *out, int n, int m)
+/* made = L e of n samples, by the taps of L from q^first on; beyond the ends zero. */
+static void look(int first, int n)
 {
+    int m = sizes[K][0], errors = sizes[K][1], order = sizes[K][2];
     for (int row = 0; row < n * m; row++) {
         double sum = 0;
-        for (int j = 0; j < m; j++)
+        for (int j = 0; j < errors; j++)
             for (int k = 0; k < order; k++) {
                 int p = row / m + first + k;
-                if (p >= 0 && p < n) sum += L[(row % m * m + j) * order + k] * in[p * m + j];
+                const double *tap = &taps[(row % m * errors + j) * order + k];
+                if (p >= 0 && p < n) sum += *tap * e[p * errors + j];
             }
-        out[row] = sum;
+        made[row] = sum;
     }
 }
 
@@ -156,26 +158,28 @@ int main(int argc, char **argv)
     object(1 << FORMAT | 1 << TS | 1 << Q | 1 << L | 1 << NOTE | 1 << SOS,
         1 << REST | 1 << GAIN | 1 << LIMITS);
     if (!next(0) || at != text + length + 1) DAMAGED("something follows the closing brace");
-    int m = sizes[K][0], n = 0, rest = (int)scalar[REST], both = 1 << FIRST | 1 << BASE;
+    int m = sizes[K][0], errors = sizes[K][1], all = m + errors, n = 0, rest = (int)scalar[REST];
+    int both = 1 << FIRST | 1 << BASE, has = of_L & both;
     double gain = scalar[GAIN], reach = decay();
-    if (sizes[K][1] != m) REFUSE("coefficients are not for %d channels", m);
-    if ((of_L & both) != (newer ? both : 0)) REFUSE("first and base are keys of format 2");
+    if ((errors == m) != (format < 3)) REFUSE("format 3 has other numbers of v than of e");
+    if (has != (format == 2 || (format == 3 && has) ? both : 0))
+        REFUSE("first and base are keys of format 2");
     if (rest < 0 || gain > 1) REFUSE("rest or step is out of its range");
     for (; fgets(at = text, sizeof text, stdin); n++) {
-        int fits = (n + 1) * m <= SAMPLES && !strpbrk(text, "xX");
-        for (int i = 0; fits && i < 2 * m; i++) {
+        int fits = (n + 1) * all <= SAMPLES && !strpbrk(text, "xX");
+        for (int i = 0; fits && i < all; i++) {
             char *start = at;
-            double x = *(i < m ? &v[n * m + i] : &e[n * m + i - m]) = strtod(start, &at);
+            double x = *(i < m ? &v[n * m + i] : &e[n * errors + i - m]) = strtod(start, &at);
             fits = at != start && isfinite(x) && strchr(" \t\r\n", *at);
         }
         if (!fits || at[strspn(at, " \t\r")] != '\n')
-            REFUSE("line %d is no %d numbers, torn, or beyond what fits", n + 1, 2 * m);
+            REFUSE("line %d is no %d numbers, torn, or beyond what fits", n + 1, all);
     }
     if (ferror(stdin) || n <= rest || (argc == 3 && n != atoi(argv[2])))
         REFUSE("the trial has %d samples, the rest %d", n, rest);
     if (!(reach >= 0 && n + reach <= 2 * SAMPLES)) REFUSE("trial too long, or cut-off too low");
     int tail = (int)reach;  /* until the response beyond the end has decayed to rounding */
-    look(taps, sizes[K][2], (int)scalar[FIRST], e, made, n, m);  /* L e */
+    look((int)scalar[FIRST], n);
     for (int i = 0; i < m; i++) {
         memset(once, 0, sizeof once);
         for (int p = 0; p < n; p++) once[p] = v[p * m + i] + made[p * m + i];

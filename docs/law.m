@@ -5,27 +5,28 @@ function v = law(path, v, e)
 %
 % path names a file of ilctools.save_law, for `ends` "zero" and without limits, as those of a table
 % are, or with `reach`; v and e are those of a whole trial, a row for each sample, a column for
-% each channel.
+% each of their channels.
 % It needs MATLAB R2016b or newer, or Octave 7 or newer. The same as law.c, in fewer checks: the
 % file is taken to be as save_law wrote it.
 saved = jsondecode(fileread(path));
-is_known = isfield(saved, "format") && any(strcmp(saved.format, {"rodlib law 1", "rodlib law 2"}));
+formats = {"rodlib law 1", "rodlib law 2", "rodlib law 3"};
+is_known = isfield(saved, "format") && any(strcmp(saved.format, formats));
 refuse(~is_known, "%s is no file of save_law, or a newer one", path);
 is_limited = isfield(saved, "actuators") && ~isempty(fieldnames(saved.actuators));
 refuse(is_limited, "there must be no limits, but the law has some");
 is_finite = ~isfield(saved.L, "base") || isempty(saved.L.base);
 refuse(~is_finite, "the base is a model; synthesise with reach");
 refuse(~all(strcmp({saved.Q.ends, saved.L.ends}, "zero")), "`ends` must be zero");
-taps = saved.L.coefficients;  % (m, m, order)
+taps = saved.L.coefficients;  % (m, p, order)
 m = size(taps, 1);
-refuse(~isnumeric(taps) || size(taps, 2) ~= m, "coefficients are not for as many v as e");
+p = size(taps, 2);
 rest = value_of(saved, "rest", 0);
 gain = value_of(saved, "step", 1);
 numbers = {taps, saved.sections, rest, gain};
 are_finite = cellfun(@(x) isnumeric(x) && all(isfinite(x(:))), numbers);
 refuse(~all(are_finite), "%s holds numbers that are not finite", path);
 [n, columns] = size(v);
-refuse(columns ~= m || ~isequal(size(e), [n, m]), "v and e must have %d columns each", m);
+refuse(columns ~= m || ~isequal(size(e), [n, p]), "v must have %d columns, and e %d", m, p);
 refuse(~all(isfinite([v(:); e(:)])), "v and e must be finite numbers");
 refuse(n <= rest, "the trial has %d samples, the rest %d", n, rest);
 
@@ -38,7 +39,7 @@ end
 function out = look(taps, first, in)
 % L in: the sum over k of taps(:, :, k) in(p + first + k - 1), beyond the ends zero.
 n = size(in, 1);
-out = zeros(size(in));
+out = zeros(n, size(taps, 1));
 for k = 1 : size(taps, 3)
     ahead = first + k - 1;
     p = max(1, 1 - ahead) : min(n, n - ahead);

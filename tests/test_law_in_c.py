@@ -33,6 +33,14 @@ LAWS = {
         LearningFilter(RNG.standard_normal((1, 1, 303)), 1.0, first=-151),
     ),
     "order five": Law(zero_phase_butterworth(5, 0.5, 1.0), EXACT, rest=1),
+    "two errors, three v": Law(
+        zero_phase_butterworth(2, 0.5, 1.0),
+        LearningFilter(RNG.integers(-64, 64, (3, 2, 7)) / 64, 1.0, first=-3),
+    ),
+    "three errors, one v": Law(
+        zero_phase_butterworth(2, 0.5, 1.0),
+        LearningFilter(RNG.integers(-64, 64, (1, 3, 4)) / 64, 1.0),
+    ),
     "no limits on any rig": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, limits={}),
 }
 
@@ -104,7 +112,7 @@ def by_octave(law, v, e, folder):
 @pytest.mark.parametrize("name", LAWS)
 def test_octave_makes_the_same_v(name, tmp_path):
     law = LAWS[name]
-    v, e = RNG.standard_normal((2, 200, law.channels))
+    v, e = (RNG.standard_normal((200, count)) for count in (law.rows, law.columns))
     actual, expected = by_octave(law, v, e, tmp_path), law.next(v, e)
     assert np.abs(actual - expected).max() < 1e-12 * np.abs(expected).max()
 
@@ -148,7 +156,7 @@ LARGEST = np.finfo(float).max
 def test_a_v_that_overflows_is_refused(program, tmp_path, name, v, e):
     """It goes to actuators: an exit code, one sentence, and nothing that looks like a signal."""
     law = LAWS[name]
-    moving = np.repeat([0.0, 1.0], 100)[:, None] * np.ones(law.channels)
+    moving = np.repeat([0.0, 1.0], 100)[:, None] * np.ones(law.rows)
     v, e = v * moving, e * moving
     with pytest.raises(ValueError, match="v or e is too large"):
         law.next(v, e)
@@ -176,7 +184,7 @@ def test_a_damaged_law_is_refused_or_that_of_python(sanitized, name, tmp_path):
     whole = (tmp_path / "law.json").read_bytes()
     contents = [whole, *(mutated(whole, rng) for _ in range(40))]
     contents += [whole[:k] for k in range(1, len(whole), 1 + len(whole) // 600 * len(whole) // 99)]
-    v, e = rng.standard_normal((2, 40, law.channels))
+    v, e = (rng.standard_normal((40, count)) for count in (law.rows, law.columns))
     for k, actual in enumerate(outcomes(sanitized, contents, v, e, tmp_path)):
         if actual is not None or k == 0:
             expected = load_law(tmp_path / str(k)).next(v, e)
@@ -193,10 +201,10 @@ SECTIONS = '{"sections": [[1, %s, 0, 1, %s, 0]]}'
 UNREAD = [  # what Python does not read, or does without
     SECTIONS % (1, 1.5), SECTIONS % (0, 0), SECTIONS % ("NaN", 0), SECTIONS % ("1e999", 0),
     '{"Ts": 0.5}', '{"L": null}', '{"Q": {"order": 1, "cutoff": 5.000001, "ends": "zero"}}',
-    '{"L": {"coefficients": [[[1]]], "ends": "zero", "first": 1}}',
+    '{"L": {"coefficients": [[[1]]], "ends": "zero", "first": 1}}', '{"format": "rodlib law 3"}',
 ]  # fmt: skip
 REFUSED = [
-    '{"format": "rodlib law 3"}', '{"stepp": 0.5}', '{"actuator": {}}', '{"step": 1.5}',
+    '{"format": "rodlib law 4"}', '{"stepp": 0.5}', '{"actuator": {}}', '{"step": 1.5}',
     '{"step": NaN}', '{"step": 1e999}', '{"rest": 1.0}', '{"rest": -1}', '{"Ts": -1}',
     '{"Q": {"order": 2}}', '{"Q": {"order": 1, "cutoff": 5.0, "ends": "zero", "poles": 2}}',
     '{"L": {"coefficients": [[[1]]], "ends": "zero", "taps": 1}}',
@@ -223,6 +231,6 @@ def test_what_contradicts_itself_or_is_not_known_is_refused(sanitized, tmp_path)
 def test_what_they_do_not_know_they_refuse(sanitized, kind, tmp_path):
     law = BEYOND[kind]
     save_law(tmp_path / "law.json", law)
-    v, content = np.zeros((20, law.channels)), (tmp_path / "law.json").read_bytes()
+    v, content = np.zeros((20, law.rows)), (tmp_path / "law.json").read_bytes()
     assert outcomes(sanitized, [content], v, v, tmp_path) == [None]
     assert by_octave(law, v, v, tmp_path).startswith("error: law: ")

@@ -345,8 +345,8 @@ class Composition:
 
     def __post_init__(self):
         check_learning(self.B, "B")
-        taken, given = (self.B.columns, self.K.rows) if self.K_first else (self.K.columns, self.B.rows)
-        if taken != given:
+        last, first = self.factors
+        if last.columns != first.rows:
             product = "B K" if self.K_first else "K B"
             raise ValueError(
                 f"L = {product} is none: B has {self.B.rows} rows and {self.B.columns} columns, "

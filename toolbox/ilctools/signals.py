@@ -138,18 +138,19 @@ def _parts(whose, party):
         "learned": None if getattr(party, "one_for_one", False) else learned,
         "controls": getattr(party, "controls", None),
     }
-    parts = {
-        name: (value, f"{whose}.{name} = {value}")
-        for name, value in values.items()
-        if value is not None
-    }
     counts = {
         "outputs": getattr(party, "columns", None if outputs is None else len(outputs)),
         "learned inputs": getattr(party, "rows", None if learned is None else len(learned)),
     }
-    for what, count in counts.items():
-        if count is not None:
-            parts["number", what] = count, f"{whose} has {count} {what}"
+    counts["learned inputs"] = getattr(party, "channels", counts["learned inputs"])  # excited
+    parts = {
+        ("number", what): (count, f"{whose} has {count} {what}")
+        for what, count in counts.items()
+        if count is not None
+    }
+    for name, value in values.items():
+        if value is not None:
+            parts[name] = value, f"{whose}.{name} = {value}"
     for place, label in enumerate(labels):
         parts.setdefault(("place", label), (place, f"{whose}.labels = {labels}"))
     for signal, unit in getattr(party, "units", {}).items():

@@ -134,7 +134,7 @@ def test_files_keep_it_and_old_filters_keep_their_bytes(tmp_path, with_base, fin
         assert f'law {version}"' in path.read_text()
         assert ("first" in path.read_text()) == (version == 2)
         assert text_of(law_notes(load_law(path))) == text_of(law_notes(law))
-    path.write_text(path.read_text().replace("law 2", "law 3"))
+    path.write_text(path.read_text().replace("law 2", "law 4"))
     with pytest.raises(ValueError, match="format = "):
         load_law(path)
 

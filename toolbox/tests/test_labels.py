@@ -74,7 +74,7 @@ def test_scale_and_amplitude_are_matched_by_name():
     of_dataset = xr.DataArray(SCALE, dims="channel").drop_vars("channel")
     for scale in (SCALE, of_dataset.assign_coords(output=("channel", SCALE.index))):
         for plant in (MODEL, TABLE, ClosedLoop(MODEL)):
-            assert response_of(plant, Ts=TS, scale=scale).scale.tolist() == [1.0, 2.0]
+            assert response_of(plant, Ts=TS, scale=scale).scale.y.tolist() == [1.0, 2.0]
     named, _ = measured_response(DATA).on(OMEGA, scale=SCALE)
     assert np.allclose(named, P * [[1, 2], [0.5, 1]], rtol=1e-12, atol=0)
     assert multisine(ClosedLoop(MODEL), 0.3, 10.0, SCALE, hours=0.1).amplitude == [1.0, 2.0]

@@ -159,15 +159,31 @@ REFUSED = {  # what the error says, and a call
     ),
     "reference has times .* 0.5 s, but Ts is 1 s": lambda: run_trials(LOOP, LAW, HALF.x),
     # more outputs than inputs
-    "P has 1 inputs and 2 outputs.* combinations": lambda: synthesise(axes()[:, 0], OF_AXES.Q),
-    "log has 2 inputs and 3 outputs.* combinations": lambda: measured_response(
-        control.frd(np.ones((3, 2, 300)), OMEGA)
+    "base = None needs as many .* has 1 and 2": lambda: synthesise(
+        axes()[:, 0], OF_AXES.Q, base=None
+    ),
+    "structure = 'diagonal' needs as many .* has 1 and 2": lambda: synthesise(
+        axes()[:, 0], OF_AXES.Q, structure="diagonal"
+    ),
+    r"scale = .* must be a dict by the names of outputs": lambda: synthesise(
+        axes()[:, 0], OF_AXES.Q, scale=[1.0, 2.0]
     ),
     r"controls = \['set x'\] .*2 outputs.* combinations": lambda: current_trial_loop(axes()[:, 0]),
     # a loop that is not ours
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
     "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
-    "P has 2 inputs and 1 outputs": lambda: ClosedLoop(axes()[0, :]),
+    "P has the inputs .* and not as many": lambda: ClosedLoop(axes()[0, :]),
+    r"references\['set x'\] = 'z' is none of the outputs": lambda: ClosedLoop(
+        axes(), references={"set x": "z"}
+    ),
+    r"references is about \['set z'\]": lambda: ClosedLoop(axes(), references={"set z": "x"}),
+    r"learned = \['force'\] must name some": lambda: ClosedLoop(axes(), learned=["force"]),
+    r"the inputs \['set y'\] of P take neither": lambda: ClosedLoop(
+        axes(), references={"set x": "x"}, learned=["set x"]
+    ),
+    "learned = .* must be a list of different names": lambda: ClosedLoop(
+        axes(), learned=["set x", "set x"]
+    ),
     r"outputs = \['a'\]": lambda: ClosedLoop(axes(), outputs=["a"]),
     r"controls = \['a'\]": lambda: ClosedLoop(axes(), controls=["a"]),
     "loop has no P": lambda: run_trials(ClosedLoop(Ts=1.0, outputs=["x"]), LAW, MOVE),

@@ -28,7 +28,7 @@ def test_labels_of_models_may_differ_but_not_in_their_order():
     ("other", "words"),
     [
         (Signals(outputs=["b", "a"]), "log.outputs"),
-        (Signals(outputs=["a"]), "log.channels = 1"),
+        (Signals(outputs=["a"]), "loop has 2 outputs, log has 1 outputs"),
         (Signals(controls=["u"]), "log.controls"),
         (Signals(units={"b": "K", "a": "m"}), r"loop.units\['a'\] = 'mm', log.units\['a'\] = 'm'"),
     ],

@@ -204,7 +204,7 @@ def test_wrong_records_are_refused(loop, quick):
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(wrong)
-    with pytest.raises(ValueError, match="channels = 1"):
+    with pytest.raises(ValueError, match="loop has 2 learned inputs, excitation has 1"):
         one = multisine(ClosedLoop(Ts=1.0, outputs=["y1"]), 0.02, 0.5, 2.0, 1.0)
         shake(Failing(), loop, one)
 

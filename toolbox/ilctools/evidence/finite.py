@@ -43,8 +43,8 @@ def trial_operators(
     -------
     P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator
         On signals of shape (samples, m) or (samples, p), raveled: P_N has the shape (samples p,
-        samples m), Q_N (samples m, samples m) and L_N (samples m, samples p). P_N is a lower triangular block Toeplitz
-        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
+        samples m), Q_N (samples m, samples m) and L_N (samples m, samples p). P_N is a lower
+        triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
         matrix would do to the samples beyond it is added to its first or last block column.
 
     See Also
@@ -71,8 +71,11 @@ def trial_operators(
 
     h = np.moveaxis(impulse_response(P, samples), 0, -1)
     from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # of P, which looks back
-    sizes = ((p, m), (m, m), (m, p))
-    return tuple(_on_trial(f, samples, *size) for f, size in zip((from_rest, Q, L), sizes, strict=True))
+    return (
+        _on_trial(from_rest, samples, made=p, taken=m),
+        _on_trial(Q, samples, made=m, taken=m),
+        _on_trial(L, samples, made=m, taken=p),
+    )
 
 
 def trial_map(
@@ -175,7 +178,7 @@ def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> spar
     made = Q.apply(L.apply(errors))
     made[:, samples - rest :] = 0
     U, S, _ = np.linalg.svd(made.reshape(len(made), -1).T, full_matrices=False)
-    return sparse.aslinearoperator(U[:, S > RANK * S[0]])
+    return sparse.aslinearoperator(U[:, RANK * S[0] < S])
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:

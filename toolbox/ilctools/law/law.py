@@ -110,8 +110,9 @@ class Law:
 
     @property
     def inputs(self) -> list[str] | None:
-        """Names of the channels of v: of the learned inputs, or of the outputs whose references v is
-        added to; of a law that is bound to a loop.
+        """Names of the channels of v, of a law that is bound to a loop.
+
+        Where v is added to references, one for each output, they are those of the outputs.
         """
         if self.loop is None:
             return None
@@ -172,7 +173,8 @@ class Law:
         v = arguments.in_columns("v", v, shape, self._names(v, self.inputs, self.rows))
         v[samples - rest :] = 0
         if self.L is not None:
-            self.L.apply(np.zeros((samples, self.columns)))  # which one for other trials refuses, before any is run
+            # which one for other trials refuses, before any is run
+            self.L.apply(np.zeros((samples, self.columns)))
         return v
 
     def next(self, v, e, u=None, applied=None) -> np.ndarray:

@@ -236,13 +236,9 @@ class ClosedLoop:
     >>> loop = ClosedLoop(P, outputs=["x"], units={"x": "mm"})
     >>> loop.inputs, loop.frequency_response([1.0, 10.0]).shape
     (['u[0]'], (2, 1, 1))
-
-    A drive whose position loop is closed, with an input for torque, at which is learned:
-
-    >>> z = control.tf([1, 0], 1, 0.01)
-    >>> both = control.ss(control.append(0.2 / (z - 0.8), 0.1 / (z - 0.8)))
-    >>> both = control.ss([[1, 1]], dt=0.01) * both
-    >>> both.update_names(inputs=["position", "torque"], outputs=["x"])
+    >>> # a drive whose position loop is closed, with an input for torque, at which is learned
+    >>> names = {"inputs": ["position", "torque"], "outputs": ["x"]}
+    >>> both = control.ss(0.8, [[0.2, 0.1]], 1, 0, 0.01, **names)
     >>> loop = ClosedLoop(both, references={"position": "x"}, learned=["torque"])
     >>> loop.w([[1.0]], [[0.5]]).tolist()
     [[1.0, 0.5]]
@@ -271,14 +267,14 @@ class ClosedLoop:
         disturbances = arguments.different("disturbances", self.disturbances)
         if not outputs or (P is not None and P.noutputs != len(outputs)):
             raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
-        inputs, references, learned = self._channels(P, outputs)
+        references, learned = self._channels(P, outputs)
         if controls and len(controls) != len(outputs):
             raise ValueError(f"controls = {controls!r} must be one for each output, or none")
         if P is not None:
             check_match(P=P, loop=Signals(Ts, labels=outputs))
-        vars(self).update(inputs=inputs, references=references, learned=learned, outputs=outputs)
+        vars(self).update(P=P, references=references, learned=learned, outputs=outputs)
         # a v that is added to references has their units
-        others = [] if self.one_for_one else [name for name in inputs if name not in outputs]
+        others = [] if self.one_for_one else [name for name in self.inputs if name not in outputs]
         signals = [*outputs, *others, *controls, *disturbances]
         vars(self).update(
             P=P,
@@ -297,13 +293,12 @@ class ClosedLoop:
             inputs = _inputs_of(outputs)
         else:
             inputs = [*dict.fromkeys([*references, *learned])]
-        if references is None or learned is None:
-            if len(inputs) != len(outputs):
-                raise ValueError(
-                    f"P has the inputs {inputs} and the outputs {outputs}, and not as many: say "
-                    "whose reference each input takes, references={input: output}, with {} for "
-                    "none, and which of them are learned, learned=[inputs]"
-                )
+        if (references is None or learned is None) and len(inputs) != len(outputs):
+            raise ValueError(
+                f"P has the inputs {inputs} and the outputs {outputs}, and not as many: say whose "
+                "reference each input takes, references={input: output}, with {} for none, and "
+                "which of them are learned, learned=[inputs]"
+            )
         if references is None:
             references = dict(zip(inputs, outputs, strict=True))
         given = arguments.by_name("references", references, inputs)
@@ -323,7 +318,14 @@ class ClosedLoop:
                 f"the inputs {idle} of P take neither a reference nor a learned signal: name them "
                 f"in references or in learned, or leave them out, as P[:, {learned}]"
             )
-        return inputs, references, learned
+        return references, learned
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs w."""
+        if self.P is None:
+            return [*dict.fromkeys([*self.references, *self.learned])]
+        return self.P.input_labels
 
     @property
     def one_for_one(self) -> bool:

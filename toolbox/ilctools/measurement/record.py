@@ -68,7 +68,7 @@ class Record:
         check_match(**{name: Signals.of_log(log) for name, log in named.items()})
         source = _source_of(logs, source)
         loop = _loop_of(logs[0], source)
-        inputs = loop.references if source == "w" else logs[0].control.values.tolist()
+        inputs = loop.inputs if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
         _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))

@@ -71,12 +71,13 @@ def pose(
 
 def refuse_unless_square(problem: Problem) -> None:
     """Refuse what is for as many learned inputs as outputs, of a plant with other numbers."""
-    for name, asked in (("base = None", problem.base is None), ("structure = 'diagonal'", problem.structure == "diagonal")):
-        if asked and not problem.square:
-            raise ValueError(
-                f"{name} needs as many learned inputs as outputs, but P has {problem.m} and "
-                f"{problem.p}: leave it out"
-            )
+    diagonal = problem.structure == "diagonal"
+    if not problem.square and (diagonal or problem.base is None):
+        name = "structure = 'diagonal'" if diagonal else "base = None"
+        raise ValueError(
+            f"{name} needs as many learned inputs as outputs, but P has {problem.m} and "
+            f"{problem.p}: leave it out"
+        )
 
 
 def checked_M_max(M_max) -> float:

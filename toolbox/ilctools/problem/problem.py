@@ -127,7 +127,7 @@ class Problem:
 
     @property
     def of_v(self) -> bool:
-        """Whether M is of v, as there are fewer learned inputs than outputs, and not of the error."""
+        """Whether M is of v and not of the error: there are fewer learned inputs than outputs."""
         return self.m < self.p
 
     def turned(self, X) -> np.ndarray:
@@ -279,10 +279,12 @@ class Problem:
         """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
         # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
-        if self.of_v:
-            return LearningFilter(coefficients.swapaxes(0, 1), self.Ts, ends, self.first) @ self.base
         K = LearningFilter(coefficients, self.Ts, ends, self.first)
-        return K if self.base is None else self.base @ K
+        if self.base is None:
+            return K
+        if self.of_v:
+            return replace(K, coefficients=coefficients.swapaxes(0, 1)) @ self.base
+        return self.base @ K
 
     @property
     def poles_of_L(self) -> np.ndarray:

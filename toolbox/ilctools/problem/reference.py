@@ -16,7 +16,6 @@ from scipy.integrate import cumulative_trapezoid, trapezoid
 
 from ilctools.models import frequency_response
 
-
 FINER = 16  # times the signal's own lines are summed, so that a narrow line is not missed
 FADING = 10  # trials are so much longer than an error at their end takes to fade without a jump
 TRIALS = 10  # whose error is predicted
@@ -76,7 +75,7 @@ def predicted_rms(problem, L) -> dict[int, float]:
     angles, E = problem.objective.first_error
     omega, P = _nominal(problem.response, angles)
     Q, L = (f.frequency_response(omega) for f in (problem.lowpass, L))
-    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, on whichever side trials contract
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, whichever side contracts
     e, rms = E[..., None], {}
     stays, samples = (1 - Q)[:, None, None] * e, 2 * (len(angles) - 1) / FINER
     for trial in range(1, TRIALS + 1):

@@ -33,9 +33,9 @@ class Response:
     scale: Scale
     signals: Signals  # of the nominal plant
     assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
-    # what the loop makes of references, in units of `scale.y`, where v is not added to them one for one
-    of_reference: control.StateSpace | None = None
     added: bool = True  # whether v is added to references, one for each output
+    # else what the loop makes of references, in units of `scale.y`, if it says so
+    of_reference: control.StateSpace | None = None
     one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
     low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
 

@@ -49,7 +49,7 @@ class ControlledRig:
             self.controller = self.new_controller()
 
     def pause(self, trial: int, samples: int | None, reference, start: Start) -> str:
-        """Hold a reference (output,) before a trial for so many samples; None: until the rig stands.
+        """Hold a reference before a trial for so many samples; None: until the rig stands.
 
         Returns what there is to be warned of.
         """

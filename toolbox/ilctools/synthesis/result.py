@@ -77,7 +77,7 @@ class Synthesis:
         ----------
         P : as for :func:`synthesise`
             One plant or several, with the channels and the sampling period of the design; of a loop
-            that was designed here ``loop.around(plant)[:, loop.references]``, since `plant` alone
+            that was designed here ``loop.around(plant)[:, loop.inputs]``, since `plant` alone
             has no feedback.
         omega : array_like, shape (n,), optional
             Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
@@ -101,9 +101,9 @@ class Synthesis:
         response = response_of(P, omega, design.Ts, uncertainty, scale, Q)
         problem = pose(response, Q, order=1, L_max=None, objective="peak")
         if problem.P.shape[1:] != design.P.shape[1:]:
-            (p, m), (rows, columns) = problem.P.shape[1:], design.P.shape[:0:-1]
             raise ValueError(
-                f"P has {p} outputs and {m} inputs, but the filter {rows} rows and {columns} columns"
+                f"P has {problem.p} outputs and {problem.m} inputs, but the filter is for "
+                f"{design.p} outputs and {design.m} inputs"
             )
         check_match(design=design.response.signals, P=response.signals)
         return on_one_thread(check)(problem, self.certificate.scaled_filter).convergence

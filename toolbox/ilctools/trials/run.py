@@ -42,7 +42,8 @@ def run_trials(
 ) -> xr.Dataset:
     """Simulate trials of a loop under a law: w_k = r + v_k, v_{k+1} = Q (v_k + L e_k).
 
-    Of a loop whose inputs are named, w_k = F r + G v_k. These are (22) and (23) of the paper, the loop (19); a start is the same in all trials.
+    These are (22) and (23) of the paper, the loop (19); a start is the same in all trials. Of a
+    ClosedLoop whose inputs are named, w_k = F r + G v_k.
 
     All signals are in the units of the loop's plant. Labelled signals, by the columns of a
     DataFrame or a coordinate of a DataArray, are matched by name. Of one channel, signals may have

@@ -164,7 +164,7 @@ def test_a_note_that_is_not_a_law_is_refused(loop, Q, note):
     with pytest.raises(LogError, match="law cannot be understood"):
         law_of(with_law(trials_of(loop), Law(Q, L, loop=loop)).assign_attrs(note))
     wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))  # of another plant
-    with pytest.raises(LogError, match="channels"):
+    with pytest.raises(LogError, match="log has 2 outputs, law has 3 outputs"):
         law_of(with_law(trials_of(loop), wide))
 
 

@@ -147,7 +147,7 @@ def test_an_output_that_does_not_move_is_named_after_the_first_trial(stuck, rese
     two = control.append(PLANT, PLANT)
     law = synthesise(two, CUTOFF, reach=None if reset else 50).law()
     loop = ClosedLoop(Ts=0.01, outputs=["x", "y"], units={"x": "mm", "y": "mm"})
-    rig = RestartingModel(control.ss(two, inputs=loop.references), noise=0.002)
+    rig = RestartingModel(control.ss(two, inputs=loop.inputs), noise=0.002)
     outputs = rig.read
     rig.read = lambda: [outputs()[0], stuck]
     task = rig, loop, law, np.column_stack([REFERENCE, REFERENCE]) + 5.0
