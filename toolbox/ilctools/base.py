@@ -141,7 +141,7 @@ def quadratic_law(P, b) -> np.ndarray:
 
 
 def in_units(L, of_v, of_y):
-    """An operator on outputs divided by `of_y`, for inputs divided by `of_v`, in their own units."""
+    """An operator on outputs over `of_y`, which makes inputs over `of_v`, in their own units."""
     if isinstance(L, Composition):
         # K stands between signals of one kind, which its side of the plant has
         of_K = of_y if L.K_first else of_v

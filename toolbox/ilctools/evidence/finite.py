@@ -44,8 +44,9 @@ def trial_operators(
     P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator
         On signals of shape (samples, m) or (samples, p), raveled: P_N has the shape (samples p,
         samples m), Q_N (samples m, samples m) and L_N (samples m, samples p). P_N is a lower
-        triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
-        matrix would do to the samples beyond it is added to its first or last block column.
+        triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where
+        an end is held, what the matrix would do to the samples beyond it is added to its first or
+        last block column.
 
     See Also
     --------
