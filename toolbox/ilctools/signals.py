@@ -142,7 +142,6 @@ def _parts(whose, party):
         "outputs": getattr(party, "columns", None if outputs is None else len(outputs)),
         "learned inputs": getattr(party, "rows", None if learned is None else len(learned)),
     }
-    counts["learned inputs"] = getattr(party, "channels", counts["learned inputs"])  # excited
     parts = {
         ("number", what): (count, f"{whose} has {count} {what}")
         for what, count in counts.items()

@@ -155,14 +155,17 @@ def trial_norm(
     """
     trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials
-    norm, before, after = _largest(T if L.rows <= L.columns else T @ reached(Q, L, samples, rest))
-    if L.rows > L.columns:
-        before = reached(Q, L, samples, rest) @ before
+    if L.rows <= L.columns:
+        norm, before, after = _largest(T)
+    else:
+        basis = sparse.aslinearoperator(reached(Q, L, samples, rest))
+        norm, before, after = _largest(T @ basis)
+        before = basis @ before
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
 @lru_cache(maxsize=4)
-def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> sparse.LinearOperator:
+def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.ndarray:
     """Orthonormal columns that span what Q_N L_N makes of errors.
 
     With more inputs than outputs, P_N maps most v to zero. Such a v shrinks by Q_N alone, so that
@@ -179,7 +182,7 @@ def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> spar
     made = Q.apply(L.apply(errors))
     made[:, samples - rest :] = 0
     U, S, _ = np.linalg.svd(made.reshape(len(made), -1).T, full_matrices=False)
-    return sparse.aslinearoperator(U[:, RANK * S[0] < S])
+    return U[:, RANK * S[0] < S]
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
@@ -205,15 +208,16 @@ def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float
     """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm.
 
     At least twice as long as the plants delay, or no trial would show what v does.
-    Of all plants, by iterations that run together where there are several.
+    Of all plants, by one iteration where there are several.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
     settled = max(10 * settled, *(2 * _delay(P) for P in plants))
     samples = int(min(settled + SHORTEST, LONGEST / L.rows))
-    if len(plants) == 1 or L.rows > L.columns:
-        return samples, max(trial_norm(P, Q, L, samples)[0] for P in plants)
-    return samples, largest_trial_norm(plants, Q, L, samples)
+    if len(plants) == 1:
+        return samples, trial_norm(plants[0], Q, L, samples)[0]
+    basis = reached(Q, L, samples, rest=0) if L.rows > L.columns else None
+    return samples, largest_trial_norm(plants, Q, L, samples, basis)
 
 
 def _delay(P):

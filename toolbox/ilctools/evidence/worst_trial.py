@@ -1,73 +1,58 @@
-"""The largest norm of a trial among several plants, by Lanczos iterations that run together.
+"""The largest norm of a trial among several plants, by one Lanczos iteration for all of them.
 
-The map of a trial of plant k is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. Q and L
-are the same for all plants. So L_N is made a matrix once, and filters the signals of many plants at
-the same time. The iteration on T_k^T T_k ends for all of them when the residual of each largest
-Ritz value is small.
+The map of a trial of plant k is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. The largest
+norm of them is that of the map which has all T_k on its diagonal. Q and L are the same for all
+plants, so that L_N is made a matrix once, and filters the signals of all plants at the same time.
 """
 
 import numpy as np
+import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.sparse import eye_array
 
 from ilctools.filters import Filter, ZeroPhaseButterworth
 from ilctools.models import impulse_response
 
-TOGETHER = 32  # plants of which the iteration runs at the same time: 64 take as long for each
-BETWEEN = 8  # steps from one look at the Ritz values to the next: each takes as long as a step
-TINY = np.finfo(float).tiny  # length of what is left of a plant whose iteration has ended
-TOLERANCE = 1e-8  # relative residual of an eigenvector, as of one plant alone
+LANCZOS = 30  # vectors that the iteration keeps, as for one plant
+TOLERANCE = 1e-8  # relative residual of the eigenvector, as for one plant
 
 
-def largest_trial_norm(plants, Q: ZeroPhaseButterworth, L: Filter, samples: int) -> float:
-    """The largest 2-norm of a trial among some plants, see :func:`.finite.trial_norm`."""
-    units = np.eye(samples * L.columns)
-    L_N = L.apply(units.reshape(-1, samples, L.columns)).reshape(len(units), -1).T
-    parts = [plants[first : first + TOGETHER] for first in range(0, len(plants), TOGETHER)]
-    return max(_largest(Maps(part, Q, L_N, samples)) for part in parts)
+def largest_trial_norm(
+    plants, Q: ZeroPhaseButterworth, L: Filter, samples: int, reached=None
+) -> float:
+    """The largest 2-norm of a trial among some plants; of all v, or of those that `reached` spans."""
+    reached = eye_array(samples * L.rows) if reached is None else reached
+    maps = Maps(plants, Q, L, samples, reached)
+    size = len(plants) * reached.shape[1]
+    start = np.tile(np.random.default_rng(0).standard_normal(reached.shape[1]), len(plants))
+    normal = sparse.LinearOperator((size, size), matvec=maps.normal, dtype=float)
+    options = {"ncv": min(LANCZOS, size), "tol": TOLERANCE, "return_eigenvectors": False}
+    [largest] = sparse.eigsh(normal, 1, v0=start, **options)
+    return float(np.sqrt(largest))
 
 
 class Maps:
-    """The maps T_k of some plants, each on a signal of its own."""
+    """The maps T_k of some plants, each on a signal of its own, (plants, samples, channels)."""
 
-    def __init__(self, plants, Q, L_N, samples):
-        self.Q, self.L_N, self.length = Q, L_N, next_fast_len(2 * samples)  # no sample wraps round
-        p, m = plants[0].shape
-        self.shape, self.outputs = (len(plants), samples, m), (len(plants), samples, p)
+    def __init__(self, plants, Q, L, samples, reached):
+        self.Q, self.reached = Q, reached
+        (p, m), self.length = plants[0].shape, next_fast_len(2 * samples)  # no sample wraps round
+        self.of_v, self.of_e = (len(plants), samples, m), (len(plants), samples, p)
+        units = np.eye(samples * p)
+        self.L_N = L.apply(units.reshape(-1, samples, p)).reshape(len(units), -1).T
         self.H = rfft([impulse_response(P, samples) for P in plants], self.length, axis=1)
 
-    def normal(self, v) -> np.ndarray:
-        """T_k^T T_k v_k, of shape (plants, samples channels)."""
-        changed = v - self._filtered(self.H, v.reshape(self.shape)) @ self.L_N.T
-        back = self.Q.apply_transposed(self.Q.apply(changed.reshape(self.shape))).reshape(v.shape)
-        errors = (back @ self.L_N).reshape(self.outputs)
-        return back - self._filtered(self.H.conj().swapaxes(2, 3), errors)
+    def normal(self, coordinates) -> np.ndarray:
+        """T_k^T T_k v_k in the coordinates of `reached`, raveled."""
+        v = coordinates.reshape(len(self.H), -1) @ self.reached.T
+        changed = v - self.filtered(self.H, v.reshape(self.of_v)) @ self.L_N.T
+        back = self.Q.apply_transposed(self.Q.apply(changed.reshape(self.of_v)))
+        errors = (back.reshape(v.shape) @ self.L_N).reshape(self.of_e)
+        result = back.reshape(v.shape) - self.filtered(self.H.conj().swapaxes(2, 3), errors)
+        return (result @ self.reached).ravel()
 
-    def _filtered(self, H, v):
-        """P_k v_k, or with H adjoint P_k^T v_k, raveled."""
-        V = rfft(v, self.length, axis=1)[..., None]
-        signals = irfft((H @ V)[..., 0], self.length, axis=1)[:, : v.shape[1]]
-        return signals.reshape(len(v), -1)
-
-
-def _largest(maps) -> float:
-    """The largest norm of some maps."""
-    count, samples, channels = maps.shape
-    size = samples * channels
-    start = np.random.default_rng(0).standard_normal(size)  # the same in every run
-    basis = np.tile(start / np.linalg.norm(start), (count, 1, 1))
-    projected = np.zeros((count, 0, 0))
-    for step in range(1, size + 1):
-        w = maps.normal(basis[:, -1])[..., None]
-        products = basis @ w
-        projected = np.pad(projected, [(0, 0), (0, 1), (0, 1)])
-        projected[:, :, -1:] = products
-        w -= basis.swapaxes(1, 2) @ products
-        w -= basis.swapaxes(1, 2) @ (basis @ w)  # what rounding has left of them
-        length = np.linalg.norm(w, axis=1)
-        if step % BETWEEN == 0 or step == size:
-            values, vectors = np.linalg.eigh(projected, UPLO="U")
-            residual = length[:, 0] * np.abs(vectors[:, -1, -1])
-            if step == size or np.all(residual <= TOLERANCE * values[:, -1]):
-                break
-        basis = np.append(basis, (w.swapaxes(1, 2) / np.maximum(length, TINY)[..., None]), axis=1)
-    return float(np.sqrt(values[:, -1].max()))
+    def filtered(self, H, signals):
+        """P_k v_k, or with H adjoint P_k^T e_k, (plants, samples channels)."""
+        spectra = rfft(signals, self.length, axis=1)[..., None]
+        made = irfft((H @ spectra)[..., 0], self.length, axis=1)[:, : signals.shape[1]]
+        return made.reshape(len(made), -1)

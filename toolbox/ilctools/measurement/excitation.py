@@ -39,7 +39,7 @@ class Excitation:
     amplitude: list[float]  # largest |w| of each input, in the units of the outputs
 
     @property
-    def channels(self) -> int:
+    def rows(self) -> int:
         """Number of inputs, and of experiments of each realisation."""
         return len(self.amplitude)
 
@@ -61,21 +61,21 @@ class Excitation:
     @property
     def hours(self) -> float:
         """What all experiments take together."""
-        return self.channels * len(self.phases) * self.samples * self.Ts / 3600
+        return self.rows * len(self.phases) * self.samples * self.Ts / 3600
 
     @cached_property
     def signals(self) -> np.ndarray:
         """The signal w of each experiment, shape (experiment, time, input)."""
         envelopes = _envelopes(np.array(self.phases), self.harmonics, self.period)
-        experiment = np.arange(self.channels)
-        turns = np.exp(2j * np.pi * np.outer(experiment, experiment) / self.channels)
+        experiment = np.arange(self.rows)
+        turns = np.exp(2j * np.pi * np.outer(experiment, experiment) / self.rows)
         waves = np.real(np.einsum("ei,rit->reti", turns, envelopes))
         waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
-        return np.tile(waves.reshape(-1, self.period, self.channels), (1, self.periods + 1, 1))
+        return np.tile(waves.reshape(-1, self.period, self.rows), (1, self.periods + 1, 1))
 
     def __repr__(self):
         return (
-            f"{len(self.phases)} realisations of {self.channels} experiments of 1 + {self.periods} "
+            f"{len(self.phases)} realisations of {self.rows} experiments of 1 + {self.periods} "
             f"periods of {self.period * self.Ts:.6g} s, {self.hours:.3g} h; {len(self.harmonics)} "
             f"lines from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s"
         )
@@ -102,7 +102,7 @@ def multisine(
         Frequencies, rad/s. The lowest sets the period. Below it, P is known only of a loop whose
         observer integrates, where P(0) = I; above the highest, not at all.
     amplitude : float or array_like, shape (m,)
-        Largest |w| of each input, in the units of the outputs.
+        Largest |w| of each learned input, in its unit: where v is added to references, of outputs.
     hours : float
         Time for all experiments, in hours, not seconds. If it is too short, the error says what is
         needed.
@@ -128,7 +128,7 @@ def multisine(
     >>> shaking.signals.shape[0], shaking.hours <= 8  # two realisations of two experiments
     (4, True)
     """
-    Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.outputs)
+    Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.learned)
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
@@ -145,9 +145,11 @@ def multisine(
 
 def _amplitudes(amplitude, loop):
     """The largest |w| of each input."""
-    m = len(loop.outputs)
+    m = len(loop.learned)
     each = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
-    each = arguments.by_channel("amplitude", each, loop.outputs)
+    each = arguments.by_channel(
+        "amplitude", each, loop.outputs if loop.one_for_one else loop.learned
+    )
     each = arguments.array("amplitude", each, (m,)).tolist()
     return [arguments.positive("amplitude", value) for value in each]
 

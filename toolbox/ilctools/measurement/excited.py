@@ -98,14 +98,16 @@ class ExcitedResponse(Measured):
         return self._smoothed(off, both, len(off) - 1, shape)
 
     def _smoothed(self, off, variance, freedom, shape=1.0):
-        """A variance (n,) of errors (..., n, m, m) with the `freedom` of each line, d, and f (n,).
+        """A variance (n,) of errors (..., n, p, m) with the `freedom` of each line, d, and f (n,).
 
         Smoothed is its ratio to a `shape`.
         """
         weights = self._straight()
         mean = np.exp(weights @ np.log(variance / shape)) * shape
-        left, _, right = np.linalg.svd(self.response)
-        turned = (left @ right).conj().swapaxes(1, 2) @ off  # errors turn from line to line as P
+        left, _, right = np.linalg.svd(self.response, full_matrices=False)
+        turn = (left @ right).conj().swapaxes(1, 2)  # errors turn from line to line as P
+        # on the side with fewer channels: what is left out there makes the radius larger
+        turned = turn @ off if left.shape[1] >= right.shape[2] else off @ turn
         d = _directions(turned / np.sqrt(mean)[:, None, None], (weights != 0) * 1.0, freedom)
         a = freedom * d  # of the gamma distribution of the variance
         f = 1 / (polygamma(1, a) * np.sum(weights**2, axis=1)) + 0.5
@@ -131,8 +133,8 @@ class ExcitedResponse(Measured):
 
     def _samples(self, confidence):
         """At negative frequencies as well, and I at zero if that is known of the loop."""
-        m, radius = self.response.shape[1], self.radius(confidence, jointly=True)
-        rest = np.eye(m)[None, :][: self.anchored]
+        radius = self.radius(confidence, jointly=True)
+        rest = np.eye(*self.response.shape[1:])[None, :][: self.anchored]
         return Samples(
             np.concatenate([-self.omega[::-1], [0.0] * self.anchored, self.omega]),
             np.concatenate([self.response[::-1].conj(), rest, self.response]),
@@ -198,7 +200,8 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
 
 def _spectra(signal, excitation):
     """At the lines, shape (realisation, period, n, channel, experiment)."""
-    m = excitation.channels
-    parts = signal.reshape(-1, m, excitation.periods, excitation.period, m)
+    m = excitation.rows
+    channels = signal.shape[-1]
+    parts = signal.reshape(-1, m, excitation.periods, excitation.period, channels)
     lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
     return np.moveaxis(lines, 1, -1)

@@ -50,7 +50,7 @@ def measured_response(
     Returns
     -------
     ExcitedResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise`, if it has as many inputs as outputs, and checks. An estimate has
+        For :func:`synthesise`, and checks. An estimate has
         ``check(log)``, against a record that it was not made of, ``model()``, ``frd()`` and
         ``plot()``.
 
@@ -157,7 +157,7 @@ def measured_response(
     elif (loop := loop_of(log)) is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:
-        asked, limits = loop.asked(log).values, limits_of(log)
+        asked, limits = np.asarray(loop.asked(log)), limits_of(log)
         measured = excited_response(*_signals(log, excitation), asked, limits, excitation, loop)
     return _warned(measured)
 
@@ -170,17 +170,18 @@ def _warned(measured):
 
 
 def _signals(log, excitation):
-    """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
+    """w (experiment, time, m) and y of the periods that are evaluated, if all are there."""
     shaken = excitation.signals
     if log.trial.values.tolist() != list(range(1, len(shaken) + 1)):
         raise LogError(
             f"log has the experiments {few(log.trial.values.tolist())} of {len(shaken)}: go on "
             "with shake and the same path"
         )
-    w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
+    w = log.v if "input" in log.coords else log.reference + log.v
+    w = arguments.array("log.v", w.values, shaken.shape)
     off = (np.abs(w - shaken) / excitation.amplitude).max()
     if off > ROUNDED:
         raise LogError(f"w is not the excitation: it is off by {off:.2g} of its amplitude")
-    y = arguments.array("log.y", log.y.values, shaken.shape)
+    y = arguments.array("log.y", log.y.values, (*shaken.shape[:2], "output"))
     check_moved([y], log.output.values, "log.y", "is it connected?")
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]

@@ -68,7 +68,7 @@ class Record:
         check_match(**{name: Signals.of_log(log) for name, log in named.items()})
         source = _source_of(logs, source)
         loop = _loop_of(logs[0], source)
-        inputs = loop.inputs if source == "w" else logs[0].control.values.tolist()
+        inputs = loop.learned if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
         _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
@@ -196,16 +196,15 @@ def _loop_of(log, source):
 
 def _moves(name, log, source):
     """Inputs, outputs and known disturbances, from before each trial on."""
-    u, before = _inputs(name, log, source)
-    signals = [signal.transpose(*AXES).values for signal in (u, before, log.y)]
-    u = arguments.array(f"{name}.{source}", signals[0], ("trial", "time", "channel"))
-    y = arguments.array(f"{name}.y", signals[2], (*u.shape[:2], "channel"))
-    before = signals[1]
+    u, before, others = _inputs(name, log, source)
+    u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
+    y = log.y.transpose(*AXES).values
+    y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
     if len(y[0]) < FEWEST_SAMPLES:
         raise LogError(
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST_SAMPLES} or more"
         )
-    known = _disturbances_of(name, log, y.shape[:2])
+    known = _disturbances_of(name, log, y.shape[:2]) | others
     if RESET in log.attrs:  # trials go on where the last one ended: one record
         u, y, before = (signal.reshape(1, -1, signal.shape[2]) for signal in (u, y, before))
         known = {source: signal.reshape(1, -1) for source, signal in known.items()}
@@ -215,20 +214,29 @@ def _moves(name, log, source):
 
 
 def _inputs(name, log, source):
-    """The inputs, and the signal whose first row is where they rest before a trial."""
+    """The inputs, and the signal whose first row is where they rest before a trial.
+
+    And, by name, the inputs of a loop that take a reference alone: known disturbances.
+    """
     if source == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
     if source == "u" and "u" not in log:
         raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
     if source == "u":  # commands rest at their own first row
-        u = log.get("applied", log.u)
-        return u, u
-    w = log.reference + log.get("v", 0)
-    limits, loop = limits_of(log), loop_of(log)
-    if limits and loop:  # w that asks for what was applied
-        asked = loop.asked(log).values
-        w.data = loop.realised(w.values, asked, Actuators.of(limits, loop).follow(asked))
-    return w, log.reference  # w rests at the reference's first row
+        u = log.get("applied", log.u).transpose(*AXES).values
+        return u, u, {}
+    limits, loop, r = limits_of(log), loop_of(log), log.reference.transpose(*AXES).values
+    if loop is None and "input" in log.coords:
+        raise LogError(f"{name} has a v of inputs, but names no loop that says what else they take")
+    v = log.v.transpose(*AXES).values if "v" in log else 0 * r
+    if limits and loop:  # v that asks for what was applied
+        asked = np.asarray(loop.asked(log.transpose(*AXES)))
+        v = loop.realised(v, asked, Actuators.of(limits, loop).follow(asked))
+    if loop is None or loop.one_for_one:
+        return r + v, r, {}  # w rests at the reference's first row
+    w, before = loop.w(r, v), loop.w(r, 0 * v)
+    others = {n: w[..., i] for i, n in enumerate(loop.inputs) if n not in loop.learned}
+    return w[..., loop.places], before[..., loop.places], others
 
 
 def _without_rounding(signal):

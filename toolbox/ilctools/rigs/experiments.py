@@ -228,7 +228,9 @@ def shake(
     """
     arguments.instance("loop", loop, Loop)
     shaken = arguments.instance("excitation", excitation, Excitation).signals
-    about = described(rig, loop, shaken, None, stop, decimals)
+    reference = np.zeros((*shaken.shape[:2], len(loop.outputs)))
+    # of inputs that are no references nothing says how far outputs may move
+    about = described(rig, loop, shaken if loop.one_for_one else reference, None, stop, decimals)
     check_match(loop=loop, rig=about, excitation=excitation)
     flows = about.flows_of(None)
     notes = with_excitation(xr.Dataset(), excitation, loop, about.limits).attrs
@@ -236,5 +238,4 @@ def shake(
     def following(trials):
         return shaken[len(trials)]  # whatever the trials before were
 
-    reference = np.zeros(shaken.shape)
     return Experiment(about, reference, flows, following, notes, pause=0).finish(path)

@@ -12,9 +12,7 @@ from ilctools.evidence.worst_trial import largest_trial_norm
     ("plants", "how"),
     [(others(9), {}), (coupled(4), {}), (others(40)[-9:], {"order": 10, "base": None})],
 )
-def test_it_is_the_largest_of_all_plants_in_any_order(plants, how, monkeypatch):
-    """By sparse factors and ARPACK; the worst in the last group, too."""
-    monkeypatch.setattr("ilctools.evidence.worst_trial.TOGETHER", 4)
+def test_it_is_the_largest_of_all_plants_in_any_order(plants, how):
     lowpass, samples = zero_phase_butterworth(2, 0.4 / plants[0].dt, plants[0].dt), 120
     L = synthesise(plants, lowpass, **how).filter
     norm_of = {P: trial_norm(P, lowpass, L, samples)[0] for P in plants}
@@ -23,7 +21,7 @@ def test_it_is_the_largest_of_all_plants_in_any_order(plants, how, monkeypatch):
         assert found == pytest.approx(max(norm_of.values()), rel=1e-7)
 
 
-def test_an_iteration_that_has_found_all_directions_waits_for_the_others():
+def test_a_plant_whose_map_is_zero_counts_for_nothing():
     """Of the first plant Q L P = Q, so that its map is zero; with five samples and 120."""
     lowpass, L = zero_phase_butterworth(2, 0.5, 1.0), LearningFilter([[[0.5]]], 1.0, first=0)
     plants = [control.ss([], [], [], [[2.0]], 1.0), lag(0.5)]
