@@ -143,12 +143,29 @@ def quadratic_law(P, b) -> np.ndarray:
 def in_units(L, of_v, of_y):
     """An operator on outputs over `of_y`, which makes inputs over `of_v`, in their own units."""
     if isinstance(L, Composition):
-        # K stands between signals of one kind, which its side of the plant has
-        of_K = of_y if L.K_first else of_v
-        return replace(L, B=in_units(L.B, of_v, of_y), K=in_units(L.K, of_K, of_K))
+        # the signals between B and K have the units of that side on which K stands, if as many
+        side, count = (of_y, L.K.rows) if L.K_first else (of_v, L.K.columns)
+        between = side if len(side) == count else np.ones(count)
+        if L.K_first:
+            return replace(L, B=in_units(L.B, of_v, between), K=in_units(L.K, between, of_y))
+        return replace(L, B=in_units(L.B, between, of_y), K=in_units(L.K, of_v, between))
     if isinstance(L, RegularisedInverse):
         return replace(L, scale=of_v, scale_y=of_y)
     return replace(L, coefficients=L.coefficients * (of_v[:, None] / of_y)[..., None])
+
+
+def extended(L, U, V):
+    """V L U' of an operator for U' P V, see :mod:`.response.directions`."""
+    p, m = len(U), len(V)
+    if isinstance(L, Composition):
+        one = np.eye(L.B.columns if L.K_first else L.B.rows)
+        if L.K_first:
+            return replace(L, B=extended(L.B, one, V), K=extended(L.K, U, one))
+        return replace(L, B=extended(L.B, U, one), K=extended(L.K, one, V))
+    if isinstance(L, RegularisedInverse):
+        P = control.ss(L.P.A, L.P.B @ V.T, L.P.C, L.P.D @ V.T, L.Ts)
+        return RegularisedInverse(P, L.b, np.ones(m), L.E @ U.T, np.ones(p))
+    return replace(L, coefficients=np.einsum("vi,ijk,yj->vyk", V, L.coefficients, U))
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:

@@ -17,6 +17,9 @@ WORDS = {
     "there; lower the cut-off of Q, or measure further",
     "units": "outputs are in {place}, of which one counts as much as one of another: pass `scale`, "
     "what is equally large in each",
+    "directions": "{place}: what is left has {value} directions, and is learned; the error in the "
+    "others stays. Does each sensor show something of its own, and each input do something of its "
+    "own? Channels in units that differ by millions need `scale`",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
     "exp(-j omega t), then pass P.conj(), or in other units of omega?",
     "rest": "P differs from the identity by {value:.2g} {place}, where this loop integrates and "

@@ -201,10 +201,15 @@ class Certificate:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
         found, signals = [*problem.findings, *problem.costs], response.signals
-        outputs = (signals.labels or [])[: problem.p]
+        outputs, _ = response.names
         units = {signals.units.get(name, "") for name in outputs} - {""}
         if len(units) > 1 and problem.scale.is_one:
             found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
+        if response.directions is not None:
+            place = response.directions.in_words(*response.names)
+            found.append(
+                Finding("directions", problem.channels, min(map(len, problem.scale)), place)
+            )
         found += doubts(response)
         if response.models[0] is None and response.low is None:  # else signals say what leads
             ahead = lead(response.P[0], response.omega, response.Ts)

@@ -5,6 +5,7 @@ import numpy as np
 from ilctools.evidence.peak import BELOW, CLOSE, DEAF
 from ilctools.problem.plausible import at_rest_in_words
 from ilctools.problem.problem import K_MAX
+from ilctools.problem.reference import unreachable_rms
 from ilctools.singular_values import TIED
 
 PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # of which the RMS is printed, where a reference is given
@@ -18,6 +19,7 @@ def printed(certificate) -> str:
         _rate(certificate),
         *([repr(certificate.margins)] if certificate.rate <= 1 + CLOSE else []),
         ", ".join(_gains(certificate)),
+        *_unequal(certificate),
         "; ".join([_limits(certificate), *_mean(certificate)]),
         *_deaf(certificate),
         *(text for text in problem.assumptions if text not in assumed),
@@ -85,7 +87,30 @@ def _gains(certificate):
         if claim.lowest > 0:
             yield f"{claim.what} {certificate.anywhere(claim):.3g}"
     if samples:
-        yield f"norm of a trial of {samples} samples {norm:.3g}"
+        of_which = ", over all v that errors lead to" if problem.m > problem.p else ""
+        yield f"norm of a trial of {samples} samples {norm:.3g}{of_which}"
+
+
+def _unequal(certificate):
+    """What other numbers of learned inputs than of outputs mean for what is learned."""
+    problem = certificate.problem
+    if problem.square:
+        return
+    counts = f"{_count(problem.m, 'learned input')} for {_count(problem.p, 'output')}"
+    if problem.m > problem.p:
+        yield f"{counts}: of all v that remove an error, the smallest is learned"
+        return
+    text = f"{counts}: the rate is that of v, and the error that v cannot reach stays"
+    if problem.objective.first_error is not None:
+        names, _ = problem.response.names
+        rms = zip(names, unreachable_rms(problem), strict=True)
+        text += ", an RMS of " + ", ".join(f"{value:.3g} in {name}" for name, value in rms)
+    yield text
+
+
+def _count(number, what):
+    """So many of something, in words."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _deaf(certificate):
@@ -114,7 +139,8 @@ def _limits(certificate):
     ]
     size = f"order = {problem.order}"
     if problem.base is not None:
-        size += f" of K in L = B K, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
+        product = "K B" if problem.of_v else "B K"
+        size += f" of K in L = {product}, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
     return f"limited by {', '.join([*limits, size])}"
 
 

@@ -20,7 +20,7 @@ TOLERANCE = 1e-8  # relative residual of the eigenvector, as for one plant
 def largest_trial_norm(
     plants, Q: ZeroPhaseButterworth, L: Filter, samples: int, reached=None
 ) -> float:
-    """The largest 2-norm of a trial among some plants; of all v, or of those that `reached` spans."""
+    """The largest 2-norm of a trial among some plants; of all v, or of what `reached` spans."""
     reached = eye_array(samples * L.rows) if reached is None else reached
     maps = Maps(plants, Q, L, samples, reached)
     size = len(plants) * reached.shape[1]

@@ -58,12 +58,19 @@ def _ends_as_in_hertz(P, omega, Ts):
 
 
 def at_rest_in_words(response: Response) -> str:
-    """The nominal P at rest, or at its lowest frequency: the gain of each channel to itself."""
+    """The nominal P at rest, or at its lowest frequency: the gain of each channel to itself.
+
+    With other numbers of inputs than of outputs, its singular values.
+    """
     model, omega = response.models[0], response.omega[0]
     if model is not None:
         [P], where = frequency_response(model, [0.0]), "at rest"
     else:
         P, where = response.P[0, 0], f"at {omega:.4g} rad/s" if omega > 0 else "at rest"
+    if P.shape[0] != P.shape[1] or response.directions is not None:
+        values = [f"{value:.3g}" for value in np.linalg.svd(P, compute_uv=False)]
+        s = "s" if len(values) > 1 else ""
+        return f"P has the singular value{s} {', '.join(values)} {where}"
     rounding = NOTHING * largest_singular_values(response.P[0]).max()
     gains = ", ".join(_number(value, rounding) for value in np.diagonal(P))
     return f"P is {gains} {where}" if len(P) == 1 else f"P is diag({gains}) {where}"

@@ -9,7 +9,7 @@ from ilctools.problem import defaults
 from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import lowpass_of
 from ilctools.problem.problem import Objective, Problem
-from ilctools.problem.reference import error_weights, first_error
+from ilctools.problem.reference import error_weights, first_error, reachable
 from ilctools.response.response import ROUNDING, Response
 from ilctools.singular_values import largest_singular_values
 
@@ -158,7 +158,7 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
         r = arguments.in_columns("reference", reference, ("time", p), names) / response.scale.y
         arguments.representable("reference", r, "in another unit")
         error = first_error(response, r)
-        weights = error_weights(error, response.angles)
+        weights = error_weights(reachable(response, error), response.angles)
     largest = np.abs(Q[weights > 0] if summed else Q).max()
     if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
         raise ValueError(

@@ -30,8 +30,10 @@ def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
     N, length = len(r), FINER * len(r)
     angles = np.linspace(0, np.pi, length // 2 + 1)
     R = rfft(r, length, axis=0)[..., None]
+    directions = response.directions
     if response.added:
-        E = R - _nominal(response, angles)[1] @ R
+        P = _nominal(response, angles)[1]
+        E = R - (P if directions is None else directions.back.of(P)) @ R
     elif response.of_reference is not None:
         E = R - frequency_response(response.of_reference, angles / response.Ts) @ R
     else:
@@ -66,6 +68,37 @@ def error_weights(spectrum, angles) -> np.ndarray:
     return weights / weights.sum()
 
 
+def unreachable_rms(problem) -> np.ndarray:
+    """RMS, by output, of what no v removes of the first error, in the plant's units, (p,).
+
+    With fewer learned inputs than outputs it is (I - P P^+) e_1: P^+ e_1 leaves least of it.
+    """
+    angles, E = problem.objective.first_error
+    left = E - _back(problem.response, reachable(problem.response, (angles, E))[1])
+    return problem.scale.y * np.sqrt(_power(left, angles))
+
+
+def reachable(response, first_error) -> tuple[np.ndarray, np.ndarray]:
+    """Angles, and what some v removes of the first error: P P^+ e_1, in the directions of P."""
+    (angles, E), directions = first_error, response.directions
+    E = E if directions is None else E @ directions.U
+    _, P = _nominal(response, angles)
+    if P.shape[2] >= P.shape[1]:
+        return angles, E
+    return angles, (P @ np.linalg.pinv(P) @ E[..., None])[..., 0]
+
+
+def _back(response, E):
+    """A spectrum (angle, any) in the directions of P as one of the outputs, (angle, p)."""
+    return E if response.directions is None else E @ response.directions.U.T
+
+
+def _power(E, angles):
+    """Mean square of a signal by its spectrum, (angle, p), of each output."""
+    samples = 2 * (len(angles) - 1) / FINER
+    return trapezoid(np.abs(E) ** 2, angles, axis=0) / (np.pi * samples)
+
+
 def predicted_rms(problem, L) -> dict[int, float]:
     """RMS of the error in trials 1 to 10, in the plant's units, from the spectrum of the first.
 
@@ -76,10 +109,12 @@ def predicted_rms(problem, L) -> dict[int, float]:
     omega, P = _nominal(problem.response, angles)
     Q, L = (f.frequency_response(omega) for f in (problem.lowpass, L))
     M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, whichever side contracts
-    e, rms = E[..., None], {}
-    stays, samples = (1 - Q)[:, None, None] * e, 2 * (len(angles) - 1) / FINER
+    directions, rms = problem.response.directions, {}
+    along = E if directions is None else E @ directions.U
+    e, others = along[..., None], E - _back(problem.response, along)  # which no v changes
+    stays = (1 - Q)[:, None, None] * e
     for trial in range(1, TRIALS + 1):
-        power = trapezoid(np.abs(e[..., 0]) ** 2, angles, axis=0) / (np.pi * samples)
+        power = _power(_back(problem.response, e[..., 0]) + others, angles)
         rms[trial] = float(np.sqrt(problem.scale.y**2 @ power))
         e = M @ e + stays
     return rms

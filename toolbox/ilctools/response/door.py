@@ -12,6 +12,7 @@ from ilctools import arguments, labels
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.models import model_and_response, refuse_foreign
+from ilctools.response.directions import Directions
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import LOW, Response
 from ilctools.response.samples import SAME, Samples
@@ -33,10 +34,13 @@ class Accuracy(NamedTuple):
     low: Samples | None = None
 
 
-def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
+def response_of(
+    P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None, like: Response | None = None
+) -> Response:
     """What is known of P, which must match Q, if there is one; arguments of `synthesise`.
 
-    The sampling period is that of Q or P; without omega, frequencies are chosen that suit Q.
+    The sampling period is that of Q or P; without omega, frequencies are chosen that suit Q. Scale
+    and directions are those of the response that it is `like`.
     """
     plants = named(P)
     _refuse_no_filter(Q)
@@ -49,11 +53,12 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
     of_table = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
     _refuse_other_units(*of_table, Ts)
     nominal, *_ = signals.values()
-    units = scale_of(scale, *_names(nominal, *responses.shape[-2:]))
+    units = like.scale if like else scale_of(scale, *_names(nominal, *responses.shape[-2:]))
     models, responses = _in_units(units, models, responses)
+    directions = like.directions if like else Directions.passed_by(responses)
     known = _accuracy(P, responses[0], omega, uncertainty, units)
     added, of_reference = _references(getattr(P, "loop", next(iter(plants.values()))), units)
-    return Response(
+    response = Response(
         omega=omega,
         P=responses,
         Ts=Ts,
@@ -67,6 +72,7 @@ def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) ->
         of_reference=of_reference,
         added=added,
     )
+    return response if directions is None else _along(response, directions)
 
 
 def _refuse_no_filter(Q):
@@ -250,8 +256,20 @@ def _in_units(scale, models, responses):
     return models, responses
 
 
+def _along(response, directions) -> Response:
+    """A response restricted to directions, or extended by those that lead back."""
+    low = response.low
+    if low is not None:
+        low = Samples(low.omega, directions.of(low.P), low.radius)
+    models = tuple(model and directions.of_model(model) for model in response.models)
+    P = directions.of(response.P)
+    return replace(response, P=P, models=models, low=low, directions=directions)
+
+
 def in_own_units(response: Response) -> Response:
     """A response in the plants' own units; its radius covers that in units of `scale`."""
+    if response.directions is not None:
+        response = replace(_along(response, response.directions.back), directions=None)
     back, radius, low = response.scale.inverse, response.radius, response.low
     models, P = _in_units(back, response.models, response.P)
     widest = back.of_P.max()

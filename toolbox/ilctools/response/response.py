@@ -12,6 +12,7 @@ import control
 import numpy as np
 
 from ilctools.models import frequency_response
+from ilctools.response.directions import Directions
 from ilctools.response.samples import Samples
 from ilctools.response.scale import Scale
 from ilctools.signals import Signals
@@ -36,6 +37,9 @@ class Response:
     added: bool = True  # whether v is added to references, one for each output
     # else what the loop makes of references, in units of `scale.y`, if it says so
     of_reference: control.StateSpace | None = None
+    directions: Directions | None = (
+        None  # those that P passes, to which P is restricted, if not all
+    )
     one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
     low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
 
@@ -43,6 +47,13 @@ class Response:
     def sampled(self) -> bool:
         """Whether some plant is known by samples only."""
         return None in self.models
+
+    @property
+    def names(self) -> tuple[list, list]:
+        """Of outputs and of learned inputs; numbers where they have none."""
+        p, m = map(len, self.scale)
+        labels = self.signals.labels or [*range(p), *range(m)]
+        return labels[:p], labels[p:]
 
     @property
     def angles(self) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
-from ilctools.base import in_units
+from ilctools.base import extended, in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.evidence.finite import trial_norm
@@ -340,13 +340,20 @@ def result(problem, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
     L = problem.L(solution)
     return Synthesis(
-        in_units(certificate.scaled_filter, problem.scale.v, problem.scale.y),
+        _in_own_channels(certificate.scaled_filter, problem.response),
         problem,
         certificate,
         largest_singular_values(problem.M(L)),
         largest_singular_values(L),
         solution,
     )
+
+
+def _in_own_channels(L, response):
+    """A filter of a problem for the plant's own channels, in their units."""
+    if (directions := response.directions) is not None:
+        L = extended(L, directions.U, directions.V)
+    return in_units(L, response.scale.v, response.scale.y)
 
 
 def _infeasible(problem) -> InfeasibleError:

@@ -97,8 +97,8 @@ class Synthesis:
             _, omega = labels.table_of("P", first, None)
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        scale, Q = design.scale, design.lowpass
-        response = response_of(P, omega, design.Ts, uncertainty, scale, Q)
+        Q, like = design.lowpass, design.response
+        response = response_of(P, omega, design.Ts, uncertainty, Q=Q, like=like)
         problem = pose(response, Q, order=1, L_max=None, objective="peak")
         if problem.P.shape[1:] != design.P.shape[1:]:
             raise ValueError(

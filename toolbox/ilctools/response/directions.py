@@ -1,0 +1,76 @@
+"""Directions in which a plant never passes anything, such as two sensors at one place.
+
+If U' P V holds all of P, with orthonormal columns in U and V,
+
+    P = U (U' P V) V',
+
+then the error in the directions beside U stays, whatever v is, and v beside V moves nothing. So a
+filter L for U' P V is one for P, V L U', with the same M among the directions that are left.
+"""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+NOTHING = 1e-12  # of the largest singular value of all responses side by side: rounding
+NAMED = 0.05  # share of a direction from which on a channel is named
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Orthonormal columns of the directions that P moves, and of those that move something."""
+
+    U: np.ndarray  # (p, p or less)
+    V: np.ndarray  # (m, m or less)
+
+    @classmethod
+    def passed_by(cls, responses) -> "Directions | None":
+        """Those of plants by their responses, (plants, n, p, m); None if P passes all."""
+        p, m = responses.shape[2:]
+        parts = np.concatenate([responses.real, responses.imag]).reshape(-1, p, m)
+        U = _spanned(np.moveaxis(parts, 1, 0).reshape(p, -1))
+        V = _spanned(np.moveaxis(parts, 2, 0).reshape(m, -1))
+        full = (U.shape[1], V.shape[1]) == (p, m)
+        return None if full or not U.size else cls(U, V)
+
+    def of(self, P):
+        """U' P V of responses (..., p, m)."""
+        return self.U.T @ P @ self.V
+
+    def of_model(self, P: control.StateSpace) -> control.StateSpace:
+        """U' P V of a model."""
+        U, V = self.U, self.V
+        return control.ss(P.A, P.B @ V, U.T @ P.C, U.T @ P.D @ V, P.dt)
+
+    @property
+    def back(self) -> "Directions":
+        """What makes P of U' P V again."""
+        return Directions(self.U.T, self.V.T)
+
+    def in_words(self, outputs, inputs) -> str:
+        """What P does not pass, by the names of channels."""
+        texts = [
+            *(f"no input moves {text} of the outputs" for text in _beside(self.U, outputs)),
+            *(f"{text} of the inputs moves nothing" for text in _beside(self.V, inputs)),
+        ]
+        return "; ".join(texts)
+
+
+def _spanned(rows):
+    """Orthonormal columns that span those of a matrix of few rows."""
+    U, S, _ = np.linalg.svd(rows, full_matrices=False)
+    least = NOTHING * S.max(initial=0)
+    if least < S.min(initial=np.inf):
+        return np.eye(len(rows))  # no direction is preferred
+    return U[:, least < S]
+
+
+def _beside(columns, names):
+    """The directions beside some, in words."""
+    rest = np.linalg.svd(columns)[0][:, columns.shape[1] :]
+    for direction in rest.T:
+        direction = direction * np.sign(direction[np.abs(direction).argmax()])
+        named = zip(direction, names, strict=True)
+        parts = [f"{x:+.2g} {name}" for x, name in named if abs(x) > NAMED]
+        yield " ".join(parts).removeprefix("+")
