@@ -21,7 +21,7 @@ class Estimate(Measured):
         self.omega = np.geomspace(0.01, np.pi / Ts, 200)
         self.response = frequency_response(P, self.omega)
 
-    def _on(self, omega, confidence):
+    def _anywhere(self, omega, confidence):
         return frequency_response(self.P, omega), np.full(len(omega), RADIUS)
 
     def _scaled(self, scale):

@@ -10,7 +10,7 @@ from plants import LOOPS, lag
 from ilctools import synthesise, trial_norm, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.response.door import response_of
-from ilctools.synthesis.cutoff import reached
+from ilctools.synthesis.cutoff import choose_cutoff
 
 
 def test_frequencies_with_a_large_radius_are_named_with_their_price():
@@ -49,7 +49,7 @@ def test_a_plant_that_just_ends_has_no_range_to_name():
     late = lag() * control.tf([1], [1, 0, 0], 1.0)
     omega = np.geomspace(1e-3, np.pi, 400)
     for P, reason in ((lag(), "how far P reaches"), ([lag(), control.ss(late)], "plants agree")):
-        limit = reached(response_of(P, omega), 0.3)
+        limit = choose_cutoff(response_of(P, omega), 0.3)
         assert reason in limit.reason and not limit.decisive and not limit.costly
 
 
@@ -82,5 +82,5 @@ def test_without_a_decisive_range_the_cutoff_is_the_least_of_all_limits():
     weak = omega[abs(P).min(axis=0) < 0.1 * rest][0]
     apart = (d > 1) & (omega > omega[0]) & (omega <= 2 * weak) & (omega < 3)
     each = 2 * np.arctan(np.tan(omega[apart] / 2) / (d[apart] - 1) ** 0.25)
-    limit = reached(response_of(plants, omega), 0.5)
+    limit = choose_cutoff(response_of(plants, omega), 0.5)
     assert limit.omega == pytest.approx(each.min(), rel=1e-12) and each.min() < weak
