@@ -80,7 +80,7 @@ def _on_omega(plants, uncertainty, omega, Ts, Q):
             f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
         )
     if omega is not None:
-        omega = arguments.increasing_frequencies("omega", labels.in_radians("omega", omega), Ts)
+        omega = labels.in_radians("omega", omega)
     tables = {}
     for name, plant in plants.items():
         tables[name], omega = labels.table_of(name, plant, omega)

@@ -114,9 +114,8 @@ class Synthesis:
             design: :func:`convergence`.
         """
         design = self.problem
-        if omega is None:
-            first, *_ = named(P).values()
-            _, omega = labels.table_of("P", first, None)
+        first, *_ = named(P).values()
+        _, omega = labels.table_of("P", first, omega)
         if omega is None:
             omega = getattr(P, "omega", self.omega)
         scale, Q = design.scale if np.any(design.scale != 1) else None, design.lowpass

@@ -53,7 +53,7 @@ from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 RELATIVE_GAP = 2e-9  # at which to stop
 SHARE_OF_GAP = 0.1  # by which rounding may keep (2) from holding
 MOST_CORRECTIONS = 10  # of a direction for that
-MOST_STEPS, MOST_MOVING = 100, 40  # at most, and with limits that are moved
+MOST_STEPS = 100
 MOST_STAGNANT = 8  # steps without a smaller gap after which to stop
 LEAST_OBJECTIVE = 1e-4  # of that without learning: a smaller one is as good as zero
 NEARLY_PROVEN = 1e-6  # relative: a bound so near to the least one may miss the proof of it
@@ -284,7 +284,6 @@ class Outcome(Enum):
     OPTIMAL = "the gap is closed"
     ENOUGH = "the objective is low enough"
     STAGNANT = "the gap does not get smaller"
-    LATE = "the bounds were not met in time"
     INFEASIBLE = "no filter meets the bounds"
     ROUNDING = "rounding spoils the direction"
     SHORT = "the steps became too short"
@@ -304,7 +303,7 @@ def follow(p, enough=0.0) -> Path:
     for step in range(MOST_STEPS):
         if p.within_limits and (best is None or p.gap < best.gap):
             best, improved = p, step
-        outcome = outcome_at(p, enough, step, stagnant=step - improved)
+        outcome = outcome_at(p, enough, stagnant=step - improved)
         if outcome is not None:
             return Path(best, outcome)
         try:
@@ -317,12 +316,10 @@ def follow(p, enough=0.0) -> Path:
     return Path(best, Outcome.MANY)
 
 
-def outcome_at(p, enough, step, stagnant) -> Outcome | None:
-    """Why the path ends at p, after so many steps; None if it goes on."""
+def outcome_at(p, enough, stagnant) -> Outcome | None:
+    """Why the path ends at p, some steps after the best point; None if it goes on."""
     program = p.program
     if not p.within_limits:
-        if step > MOST_MOVING:
-            return Outcome.LATE
         largest = program.cost.sum() * program.limits[0]
         return Outcome.INFEASIBLE if ruled_out(p, largest) else None
     idle, _ = program.without_learning()
