@@ -10,7 +10,7 @@ from ilctools.synthesis.solver import inequalities
 
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_they_are_those_of_numpy(size):
-    A, B = complex_normal(np.random.default_rng(size), 2, 8, size, size)
+    A, B = complex_normal(np.random.default_rng(size), 2, 50, size, size)
     A, B = A @ np.conj(A).mT, B + np.conj(B).mT
     S, dS = np.moveaxis([A, B], 1, -1)
     X = np.moveaxis(inequalities.inverse(S), -1, 0)
