@@ -40,7 +40,7 @@ from scipy.interpolate import CubicSpline
 from ilctools.singular_values import largest_singular_values
 
 SAME_FREQUENCY = 1e-9  # relative: two frequencies that are nearer are the same
-FEWEST_SAMPLES = 4  # samples of which every other one can be left out
+FEWEST_TO_HALVE = 4  # samples of which every other one can be left out
 COARSE_STEP = (
     3  # times the first frequency: a next one above does not show how P moves about the first
 )
@@ -170,7 +170,7 @@ def missed(x, P) -> np.ndarray:
     At the ends that of the next one; of P itself with fewer than four samples.
     """
     sizes = largest_singular_values(P)
-    if len(x) < FEWEST_SAMPLES:
+    if len(x) < FEWEST_TO_HALVE:
         return sizes
     for first in (1, 2):  # between the two at the ends
         out = np.arange(first, len(x) - 1, 2)

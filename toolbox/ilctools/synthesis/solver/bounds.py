@@ -21,7 +21,7 @@ from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.solver.inequalities import adjoint
 
 LEAST_SHARE = 0.05  # of b that a first share leaves to M, and to H: any below one half will do
-TINY = 1e-300  # next to which no number is zero
+TINY = np.finfo(float).tiny  # beside which a norm of zero is none
 
 
 @dataclass(frozen=True)
