@@ -60,7 +60,8 @@ class Signals:
         """Labels and units of a plant in any form; an array has none, and the period Ts."""
         plant = getattr(plant, "loop", plant)  # of a measured response
         Ts, units = getattr(plant, "Ts", Ts), getattr(plant, "units", {})
-        return cls(Ts, units=units, labels=_labels_of(plant))
+        learned = None if getattr(plant, "one_for_one", True) else plant.learned
+        return cls(Ts, units=units, labels=_labels_of(plant), learned=learned)
 
 
 def period_of(trials) -> float:

@@ -153,7 +153,7 @@ def lifted(model, samples):
 def as_matrix(apply, samples, channels):
     """Matrix of a linear map of signals, column by column."""
     units = np.eye(samples * channels).reshape(-1, samples, channels)
-    return apply(units).reshape(-1, samples * channels).T
+    return apply(units).reshape(len(units), -1).T
 
 
 def frequencies(Ts, n=60):

@@ -159,11 +159,11 @@ REFUSED = {  # what the error says, and a call
     ),
     "reference has times .* 0.5 s, but Ts is 1 s": lambda: run_trials(LOOP, LAW, HALF.x),
     # more outputs than inputs
-    "base = None needs as many .* has 1 and 2": lambda: synthesise(
-        axes()[:, 0], OF_AXES.Q, base=None
+    "base = None needs as many .* has 2 and 1": lambda: synthesise(
+        axes()[0, :], OF_AXES.Q, base=None
     ),
-    "structure = 'diagonal' needs as many .* has 1 and 2": lambda: synthesise(
-        axes()[:, 0], OF_AXES.Q, structure="diagonal"
+    "structure = 'diagonal' needs as many .* has 2 and 1": lambda: synthesise(
+        axes()[0, :], OF_AXES.Q, structure="diagonal"
     ),
     r"scale = .* must be a dict by the names of outputs": lambda: synthesise(
         axes()[:, 0], OF_AXES.Q, scale=[1.0, 2.0]

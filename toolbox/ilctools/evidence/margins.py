@@ -37,7 +37,7 @@ from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.problem import Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
-from ilctools.response.samples import SAME
+from ilctools.response.samples import SAME_FREQUENCY
 
 GAINS = np.array([1.0, 10.0])  # the last is where the search ends, as of the following ones
 # time scales: the first steps are as small as a lightly damped antiresonance asks for
@@ -174,7 +174,7 @@ class Perturbed:
 def _apart(omega):
     """Frequencies without repetition: between two that are the same, a slope would be rounding."""
     omega = np.unique(omega)
-    return omega[np.append(True, np.diff(omega) > SAME * omega[1:])]
+    return omega[np.append(True, np.diff(omega) > SAME_FREQUENCY * omega[1:])]
 
 
 def _ends(response):

@@ -43,7 +43,7 @@ from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
 from ilctools.response.measured import CONFIDENCE, Measured
-from ilctools.response.samples import SAME
+from ilctools.response.samples import SAME_FREQUENCY
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
@@ -160,7 +160,7 @@ class EstimatedResponse(Measured):
         t = (1 - w * sigma2) / (w * sigma2**2)
         return c * np.sqrt(t * trace / shape) + self.apart * largest_singular_values(P)
 
-    def _on(self, omega, confidence):
+    def _anywhere(self, omega, confidence):
         P = self._at(omega)
         return P, self._radius_of(self._moments(omega), P, confidence, True)
 
@@ -236,7 +236,7 @@ class EstimatedResponse(Measured):
                 "else the input had too little power, and what was assumed makes the radius"
             )
         first = self.omega[self.resolved][0]
-        if self.omega[self.known][0] < first <= omega[0] * (1 + SAME):
+        if self.omega[self.known][0] < first <= omega[0] * (1 + SAME_FREQUENCY):
             lines.append(
                 f"assumed: below {first:.3g} rad/s, of which no period fits into a record, P need "
                 "not be known for the cut-off and the filter"

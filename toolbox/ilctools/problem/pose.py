@@ -10,7 +10,7 @@ from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import lowpass_of
 from ilctools.problem.problem import Objective, Problem
 from ilctools.problem.reference import error_weights, first_error, reachable
-from ilctools.response.response import ROUNDING, Response
+from ilctools.response.response import SAME_ANGLE, Response
 from ilctools.singular_values import largest_singular_values
 
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
@@ -176,7 +176,7 @@ def _of_band(omega, cutoff, band, summed, chosen):
             chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to Q's cut-off")
     low, high = band = tuple(arguments.array("band", band, (2,)).tolist())
     inside = (omega >= low) & (omega <= high)
-    slack = ROUNDING * omega[-1]
+    slack = SAME_ANGLE * omega[-1]
     if summed and not omega[0] - slack <= low < high <= omega[-1] + slack:
         raise ValueError(
             f"band = {band!r} must be two increasing frequencies within omega, "

@@ -14,22 +14,23 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.directions import Directions
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
-from ilctools.response.response import LOW, Response
-from ilctools.response.samples import SAME, Samples
+from ilctools.response.response import POINTS_BELOW, Response
+from ilctools.response.samples import SAME_FREQUENCY, Samples
 from ilctools.response.scale import Scale, scale_of
 from ilctools.signals import Signals, check_match
 
-FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
-LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
+CHOSEN_FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
+LOWEST_CUTOFF = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
 FROM_ONE = 0.3  # up to which P counts as the identity
-PRINTED = 1e-6  # relative, of a table: digits of its last frequency, and of P, which is real there
+# relative, of a table: digits of its last frequency, and of P, which is real there
+PRINTED_DIGITS = 1e-6
 
 
 class Accuracy(NamedTuple):
-    """How well P is known, in units of `scale`."""
+    """How well P is known, in units of `scale`; fields of :class:`.Response`."""
 
-    radius: np.ndarray | None
+    radius: np.ndarray | None = None
     assumptions: tuple[str, ...] = ()
     low: Samples | None = None
 
@@ -50,27 +51,23 @@ def response_of(
     models, responses = _responses(plants, omega, Ts)
     signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
     check_match(**signals, Q=Q, grid=Signals(Ts))
-    of_table = (P.omega, P.response) if isinstance(P, Measured) else (omega, responses[0])
-    _refuse_other_units(*of_table, Ts)
+    _refuse_other_units(P, omega, responses[0], Ts)
     nominal, *_ = signals.values()
     units = like.scale if like else scale_of(scale, *_names(nominal, *responses.shape[-2:]))
     models, responses = _in_units(units, models, responses)
     directions = like.directions if like else Directions.passed_by(responses)
-    known = _accuracy(P, responses[0], omega, uncertainty, units)
     added, of_reference = _references(getattr(P, "loop", next(iter(plants.values()))), units)
     response = Response(
-        omega=omega,
-        P=responses,
-        Ts=Ts,
-        models=tuple(models),
-        radius=known.radius if np.any(known.radius) else None,
+        omega,
+        responses,
+        Ts,
+        tuple(models),
         scale=units,
         signals=nominal,
-        assumptions=known.assumptions,
         one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
-        low=known.low,
-        of_reference=of_reference,
         added=added,
+        of_reference=of_reference,
+        **_accuracy(P, responses[0], omega, uncertainty, units)._asdict(),
     )
     return response if directions is None else _along(response, directions)
 
@@ -91,7 +88,7 @@ def _on_omega(plants, uncertainty, omega, Ts, Q):
             f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
         )
     if omega is not None:
-        omega = arguments.increasing_frequencies("omega", labels.in_radians("omega", omega), Ts)
+        omega = labels.in_radians("omega", omega)
     tables = {}
     for name, plant in plants.items():
         tables[name], omega = labels.table_of(name, plant, omega)
@@ -113,15 +110,18 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
         _, radius = P.on(omega, CONFIDENCE, scale)
         low = None
         if P.estimated:  # it says more below than a table does
-            below = np.linspace(0, omega[0], LOW)
+            below = np.linspace(0, omega[0], POINTS_BELOW)
             low = Samples(below, *P.on(below, CONFIDENCE, scale))
-        return Accuracy(radius, P.basis(omega, CONFIDENCE), low)
+        return Accuracy(_unless_zero(radius), P.basis(omega, CONFIDENCE), low)
     if uncertainty is None:
-        return Accuracy(None)
+        return Accuracy()
     relative = f"the radius is {uncertainty} sigma_max(P), at each frequency"
-    return Accuracy(
-        radius_of(uncertainty, nominal), (relative,) if np.ndim(uncertainty) == 0 else ()
-    )
+    radius = _unless_zero(radius_of(uncertainty, nominal))
+    return Accuracy(radius, (relative,) if np.ndim(uncertainty) == 0 else ())
+
+
+def _unless_zero(radius):
+    return radius if radius.any() else None
 
 
 def _references(plant, scale):
@@ -204,9 +204,9 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
             "omega must be given, as Q holds samples: or pass zero_phase_butterworth(order, "
             "cutoff, Ts), from whose cut-off a grid is chosen"
         )
-    cutoff = LOWEST * np.pi / Ts if Q is None else Q.cutoff
+    cutoff = LOWEST_CUTOFF * np.pi / Ts if Q is None else Q.cutoff
     first = max([cutoff / 10**DECADES, *(_first_of(plant, Q) for plant in sampled)])
-    return np.geomspace(first, np.pi / Ts, FREQUENCIES)
+    return np.geomspace(first, np.pi / Ts, CHOSEN_FREQUENCIES)
 
 
 def _first_of(measured, Q):
@@ -217,7 +217,7 @@ def _first_of(measured, Q):
     omega = measured.omega
     known = omega[getattr(measured, "known", omega > 0)][0]
     resolved = omega[getattr(measured, "resolved", omega > 0)][0]
-    below = Q is not None and Q.cutoff < resolved * (1 - SAME)
+    below = Q is not None and Q.cutoff < resolved * (1 - SAME_FREQUENCY)
     return known if below else max(known, resolved)
 
 
@@ -281,14 +281,16 @@ def in_own_units(response: Response) -> Response:
     return replace(response, models=tuple(models), P=P, radius=radius, scale=one, low=low)
 
 
-def _refuse_other_units(omega, P, Ts):
+def _refuse_other_units(plant, omega, P, Ts):
     """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
-    rounding = PRINTED * np.abs(P[-1]).max()
+    if isinstance(plant, Measured):
+        omega, P = plant.omega, plant.response
+    rounding = PRINTED_DIGITS * np.abs(P[-1]).max()
     if not np.abs(P[-1].imag).max() <= rounding < np.abs(P.imag).max():
         return
     for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
         factor = np.pi / Ts / end
-        if abs(omega[-1] / end - 1) < PRINTED < abs(factor - 1):
+        if abs(omega[-1] / end - 1) < PRINTED_DIGITS < abs(factor - 1):
             raise ValueError(
                 f"omega ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as at "
                 f"the Nyquist frequency: omega is in {unit}, multiply it by {factor:.6g}"

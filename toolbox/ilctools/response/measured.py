@@ -19,7 +19,7 @@ class Measured:
     `findings`, which speak against it; `estimated` is False of a table. It says what the doors here
     ask by ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and ``_scaled(of_P)``;
     by ``_samples(confidence)``, if those between which it is splined are not those at `omega`, or
-    else by ``_on(omega, confidence)``.
+    else by ``_anywhere(omega, confidence)``.
     """
 
     findings = ()
@@ -64,12 +64,12 @@ class Measured:
         if scale is not None:
             inputs, outputs = self.names
             own = self._scaled(scale_of(scale, outputs, inputs).of_P)
-        return own._on(omega, probability(confidence))
+        return own._anywhere(omega, probability(confidence))
 
     def _samples(self, confidence):
         return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
 
-    def _on(self, omega, confidence):
+    def _anywhere(self, omega, confidence):
         """As :mod:`.samples` says; above the last line all that is not larger than there."""
         samples = self._samples(confidence)
         P, radius = samples.at(omega)

@@ -18,8 +18,10 @@ from ilctools.response.scale import Scale
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
-ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
-LOW = 17  # frequencies from zero to the first one, at which a measured P is asked what it is there
+SAME_ANGLE = 1e-9  # of an angle: two that are nearer are the same frequency
+POINTS_BELOW = (
+    17  # frequencies from zero to the first one, at which a measured P is asked what it is there
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +109,7 @@ class Response:
     @property
     def beyond(self) -> float | None:
         """The sigma_max(P) that is assumed above the last sample; None if P is known there."""
-        if not self.sampled or self.angles[-1] >= np.pi - ROUNDING:
+        if not self.sampled or self.angles[-1] >= np.pi - SAME_ANGLE:
             return None
         samples = self.P[[model is None for model in self.models], -1]
         return float(largest_singular_values(samples).max() + self.radii[-1])

@@ -18,7 +18,7 @@ rest its real part is even and its imaginary part odd. So with x = omega / omega
     t = sigma_max(Im P(omega_1) Re P(omega_1)^-1),
 
 r the radius of the first sample, and P(2 omega_1) the sample that is nearest to it, in proportion
-to omega^2; if that is above COARSE omega_1, d is t at least. A real part that moves as omega^2
+to omega^2; if that is above COARSE_STEP omega_1, d is t at least. A real part that moves as omega^2
 moves by s / 3 below omega_1, that of a lag of first order by t^2; of one channel, t is the tangent
 of the phase. Delta Re P does not depend on the units of y, and a channel whose gain is small is not
 drowned by the others. From d = 1 on, at a phase of 45 degrees at the latest, singular plants are
@@ -39,9 +39,11 @@ from scipy.interpolate import CubicSpline
 
 from ilctools.singular_values import largest_singular_values
 
-SAME = 1e-9  # relative: two frequencies that are nearer are the same
-FEWEST = 4  # samples of which every other one can be left out
-COARSE = 3  # times the first frequency: a next one above does not show how P moves about the first
+SAME_FREQUENCY = 1e-9  # relative: two frequencies that are nearer are the same
+FEWEST_TO_HALVE = 4  # samples of which every other one can be left out
+COARSE_STEP = (
+    3  # times the first frequency: a next one above does not show how P moves about the first
+)
 
 
 class Region(NamedTuple):
@@ -113,7 +115,7 @@ class Samples:
             return np.inf
         if s > t:
             return float(s + t**2)
-        return float(t if times > COARSE else min(s + t**2, t))
+        return float(t if times > COARSE_STEP else min(s + t**2, t))
 
     @property
     def known_below(self) -> bool:
@@ -159,7 +161,7 @@ class Samples:
 
     def outside(self, omega) -> np.ndarray:
         """Which frequencies are beyond the ends, (k,), bool."""
-        return np.abs(omega - np.clip(omega, *self.omega[[0, -1]])) > SAME * np.abs(omega)
+        return np.abs(omega - np.clip(omega, *self.omega[[0, -1]])) > SAME_FREQUENCY * np.abs(omega)
 
     def _place(self, omega):
         return self.axis(np.clip(omega, *self.omega[[0, -1]]))
@@ -180,7 +182,7 @@ def missed(x, P) -> np.ndarray:
     At the ends that of the next one; of P itself with fewer than four samples.
     """
     sizes = largest_singular_values(P)
-    if len(x) < FEWEST:
+    if len(x) < FEWEST_TO_HALVE:
         return sizes
     for first in (1, 2):  # between the two at the ends
         out = np.arange(first, len(x) - 1, 2)

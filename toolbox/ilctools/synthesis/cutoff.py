@@ -3,7 +3,7 @@
 With sigma(omega) for the least sigma_min of all plants, and sigma_0 for its value at rest, or its
 largest if P passes nothing there, P reaches up to the frequency omega_1 where
 
-    sigma(omega) < REACHED sigma_0.
+    sigma(omega) < WEAK sigma_0.
 
 Beyond, what L gains is noise and what the model does not know. The bound on L will follow from the
 cut-off, and is STATIC / sigma_0 at least. The plants P_k agree as far as the quadratic law B of all
@@ -34,13 +34,13 @@ from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
 ORDER = 2  # of the Butterworth filter, as in the paper
-REACHED = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/performance.md
-SHARE = 0.9  # of M_max that may be used up by what the plants differ
-INSIDE = 0.5  # of the last sample, if it is below the Nyquist frequency: |Q| is 0.06 there
-HIGHEST = 0.9  # of the Nyquist frequency
-HIGH = 3  # rad, of omega Ts: an angle from which on it is as good as the Nyquist frequency's, pi
-NAMED = 1.1  # a range of frequencies is named if the cut-off were this many times as high without
-COSTLY = 2.0  # and a warning tells of it from this factor on
+WEAK = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/performance.md
+SHARE_OF_M_MAX = 0.9  # of M_max that may be used up by what the plants differ
+INSIDE_SAMPLES = 0.5  # of the last sample, if that is below Nyquist's: |Q| is 0.06 there
+HIGHEST_CUTOFF = 0.9  # of the Nyquist frequency
+NEARLY_NYQUIST = 3  # rad, of omega Ts: from there on it is as good as the Nyquist frequency's, pi
+NAMED_FACTOR = 1.1  # a range is named if the cut-off were this many times as high without
+COSTLY_FACTOR = 2.0  # and a warning tells of it from this factor on
 
 
 class Cutoff(NamedTuple):
@@ -54,7 +54,7 @@ class Cutoff(NamedTuple):
     @property
     def costly(self) -> bool:
         """Whether a narrow range lowers the cut-off so much that a warning is due."""
-        return bool(self.decisive) and self.without >= COSTLY * self.omega
+        return bool(self.decisive) and self.without >= COSTLY_FACTOR * self.omega
 
 
 class _Limits(NamedTuple):
@@ -62,7 +62,7 @@ class _Limits(NamedTuple):
 
     omega: np.ndarray  # (n,), rad/s
     Ts: float  # s
-    weak: np.ndarray  # that frequency, where P is below REACHED sigma_0
+    weak: np.ndarray  # that frequency, where P is below WEAK sigma_0
     apart: np.ndarray  # where |Q| d is what M_max admits
     highest: float  # rad/s, as P is known no further
 
@@ -76,9 +76,9 @@ class _Least(NamedTuple):
     last: int = 0  # number of the last frequency that was asked
 
 
-def reached(response: Response, M_max: float) -> Cutoff:
+def choose_cutoff(response: Response, M_max: float) -> Cutoff:
     """The cut-off up to which P reaches and its plants agree, and what decided it."""
-    limits = _limits(response, SHARE * M_max)
+    limits = _limits(response, SHARE_OF_M_MAX * M_max)
     least = _least(limits, left_out=False)
     if least.index is None:
         return Cutoff(least.omega, "the highest at which P is known well enough")
@@ -91,7 +91,7 @@ def reached(response: Response, M_max: float) -> Cutoff:
     rows, _ = label(least.among)
     run = rows == rows[least.index]  # the neighbours in a row
     without = _least(limits, run).omega
-    if np.flatnonzero(run)[-1] >= least.last or without < NAMED * least.omega:
+    if np.flatnonzero(run)[-1] >= least.last or without < NAMED_FACTOR * least.omega:
         return Cutoff(least.omega, reason)
     return Cutoff(least.omega, reason, f"{what} {_span(limits.omega[run])}", without)
 
@@ -101,16 +101,20 @@ def _limits(response, M_max):
     omega, P, Ts = response.omega, response.P, response.Ts
     values = np.linalg.svd(P, compute_uv=False)[..., -1].min(axis=0)
     rest = at_rest(values) or values.max()
-    weak, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
+    weak, start = values < WEAK * rest, np.argmax(values >= WEAK * rest)
     weak[:start] = False  # P passes nothing at rest
-    highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > HIGH else INSIDE * omega[-1]
+    highest = (
+        HIGHEST_CUTOFF * np.pi / Ts
+        if omega[-1] * Ts > NEARLY_NYQUIST
+        else INSIDE_SAMPLES * omega[-1]
+    )
 
     B = quadratic_law(P, b=rest / (2 * STATIC))
     ones = np.ones(len(omega))
     d = np.max([largest_singular_values(convergence_matrix(each, ones, B)) for each in P], axis=0)
     apart = (d + largest_singular_values(response.radii[:, None, None] * B)) / M_max
     apart[: start + 1] = 0
-    asked = (apart > 1) & (omega * Ts < HIGH)
+    asked = (apart > 1) & (omega * Ts < NEARLY_NYQUIST)
     x = (apart[asked] - 1) ** (1 / (2 * ORDER))
     apart = np.full(len(omega), np.inf)
     apart[asked] = 2 / Ts * np.arctan(np.tan(omega[asked] * Ts / 2) / x)
@@ -120,8 +124,8 @@ def _limits(response, M_max):
 def _least(limits, left_out) -> _Least:
     """The least limit, without some of the frequencies, (n,) bool, or with all."""
     weak, apart = (np.where(left_out, np.inf, each) for each in (limits.weak, limits.apart))
-    asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE
-    last = np.sum(asked & (limits.omega * limits.Ts < HIGH)) - 1
+    asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE_SAMPLES
+    last = np.sum(asked & (limits.omega * limits.Ts < NEARLY_NYQUIST)) - 1
     least = _Least(limits.highest)
     for each, end in ((weak, len(weak) - 1), (np.where(asked, apart, np.inf), last)):
         if each.min() < least.omega:

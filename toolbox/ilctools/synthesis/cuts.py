@@ -12,19 +12,15 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
 
-PASSED = 1e-10  # relative violation that is rounding
+ROUNDING_OF_M = 1e-10  # relative violation of M_max that is rounding
 
 
-def solve(problem: Problem, nearby: Solution | None = None) -> Solution:
-    """Solve a problem at its frequencies; Infeasible if it is.
-
-    `nearby` is a filter that keeps the bounds, for where the solver does not find any by itself.
-    """
+def solve(problem: Problem) -> Solution:
+    """Solve a problem at its frequencies; Infeasible if it is."""
     plant, frequency = np.empty((2, 0), dtype=int)
     while True:
         formulation = formulate(problem, plant, frequency)
-        x = None if nearby is None else formulation.x_of(nearby)
-        solution = formulation.solution(minimise(formulation.program, x))
+        solution = formulation.solution(minimise(formulation.program))
         limit = solution.largest if problem.objective.kind == "peak" else problem.M_max
         of_plant, at = violated(problem, solution, limit, plant, frequency)
         if not len(at):
@@ -36,7 +32,7 @@ def violated(problem, solution, limit, plant, frequency):
     """Plant and frequency of new cuts: at each frequency that which a solution violates most."""
     L = problem.L(solution)
     n = len(problem.omega)
-    highest, which = np.full(n, limit * (1 + PASSED)), np.full(n, -1)
+    highest, which = np.full(n, limit * (1 + ROUNDING_OF_M)), np.full(n, -1)
     for k in range(1, len(problem.plants)):
         new = np.ones(n, dtype=bool)
         new[frequency[plant == k]] = False

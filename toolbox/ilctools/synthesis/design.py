@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
-from ilctools.base import extended, in_units
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.evidence.finite import trial_norm
@@ -13,10 +12,10 @@ from ilctools.filters import ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import checked_M_max, pose, refuse_singular, refuse_unless_square
-from ilctools.problem.problem import Problem, Solution
-from ilctools.response.door import LOWEST, response_of
-from ilctools.singular_values import largest_singular_values, tied
-from ilctools.synthesis.cutoff import ORDER, reached
+from ilctools.problem.problem import Problem
+from ilctools.response.door import LOWEST_CUTOFF, response_of
+from ilctools.singular_values import tied
+from ilctools.synthesis.cutoff import ORDER, choose_cutoff
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
@@ -24,7 +23,7 @@ from ilctools.threads import on_one_thread
 from ilctools.warn import warn
 
 LONGEST_REST = 0.1  # of a trial: what may be given up at its end so that it does not grow
-EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
+EQUAL_MULTIPLIERS = 1e-3  # relative distance of those that are the same for the solver
 
 
 @on_one_thread
@@ -217,15 +216,15 @@ def synthesise(
         )
 
     if Q is None:
-        return warned(without_Q(problem, known(None), M_max))
-    return warned(designed(problem(Q)))
+        return warn_of_findings(without_Q(problem, known(None), M_max))
+    return warn_of_findings(designed(problem(Q)))
 
 
 def without_Q(problem_of, response, M_max) -> Synthesis:
     """The design with the cut-off that P admits; with half of it, if a trial's ends might grow."""
     refuse_singular(response)
-    limit, Ts = reached(response, checked_M_max(M_max)), response.Ts
-    lowest = max(LOWEST * np.pi / Ts, response.omega[response.omega > 0][0])
+    limit, Ts = choose_cutoff(response, checked_M_max(M_max)), response.Ts
+    lowest = max(LOWEST_CUTOFF * np.pi / Ts, response.omega[response.omega > 0][0])
 
     def lowpass(cutoff):
         return ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
@@ -247,8 +246,7 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
     if cutoff == lowest:
         costs.append(Finding("little", cutoff, lowest, limit.reason))
     problem = replace(design.problem, chosen=(text, *design.problem.chosen), costs=tuple(costs))
-    certificate = replace(design.certificate, problem=problem)
-    return replace(design, problem=problem, certificate=certificate)
+    return Synthesis(replace(design.certificate, problem=problem))
 
 
 def _cost_of_ends(first, half) -> Finding:
@@ -281,25 +279,23 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 def designed(problem: Problem) -> Synthesis:
     """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
     refuse_unless_square(problem)
-    design = direct(problem) if problem.formula_will_do else None
+    design = by_formula(problem) if problem.formula_will_do else None
     return certified(problem) if design is None else design
 
 
-def direct(problem: Problem) -> Synthesis | None:
+def by_formula(problem: Problem) -> Synthesis | None:
     """L = B, K = 1, if all bounds hold for it and it is asked for nothing else."""
     if problem.objective.kind != "sum" or problem.objective.band is None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
-    zero = np.zeros((len(problem.omega), *one.shape))
-    solution = Solution(one[..., None], zero, zero, largest=np.nan)
-    certificate = check(problem, problem.scaled_filter(solution.coefficients))
+    certificate = check(problem, problem.scaled_filter(one[..., None]))
     beyond = certificate.peaks.get("assumed")
     if certificate.failures or (beyond is not None and beyond.sigma > problem.M_max):
         return None
-    return result(problem, solution, certificate)
+    return Synthesis(certificate)
 
 
-def insist(certificate: Certificate):
+def refuse_failures(certificate: Certificate):
     """Raise if a certificate fails."""
     if certificate.failures:
         failures = "; ".join(map(str, certificate.failures))
@@ -316,8 +312,8 @@ def _remedy(problem):
     )
 
 
-def warned(design: Synthesis) -> Synthesis:
-    """A design for whoever called the caller, with a warning for each of its findings."""
+def warn_of_findings(design: Synthesis) -> Synthesis:
+    """The design, after a warning for each of its findings."""
     for found in design.certificate.warnings:
         warn(str(found))
     return design
@@ -332,28 +328,8 @@ def certified(problem: Problem) -> Synthesis:
     except RuntimeError as error:
         raise SolverError(f"{error}.{_remedy(problem)}") from None
     certificate = certify(problem, grid, solution)
-    insist(certificate)
-    return result(problem, solution, certificate)
-
-
-def result(problem, solution, certificate) -> Synthesis:
-    """What a solution is, with its certificate."""
-    L = problem.L(solution)
-    return Synthesis(
-        _in_own_channels(certificate.scaled_filter, problem.response),
-        problem,
-        certificate,
-        largest_singular_values(problem.M(L)),
-        largest_singular_values(L),
-        solution,
-    )
-
-
-def _in_own_channels(L, response):
-    """A filter of a problem for the plant's own channels, in their units."""
-    if (directions := response.directions) is not None:
-        L = extended(L, directions.U, directions.V)
-    return in_units(L, response.scale.v, response.scale.y)
+    refuse_failures(certificate)
+    return Synthesis(certificate)
 
 
 def _infeasible(problem) -> InfeasibleError:
@@ -382,11 +358,11 @@ def _infeasible(problem) -> InfeasibleError:
 
 def _obstacle(problem, nearest):
     """The plant and the frequency with the largest multiplier."""
-    count, cuts = len(problem.omega), nearest.cuts
-    plant, at, size = np.zeros(count, int), np.arange(count), np.linalg.norm(nearest.U, axis=(1, 2))
-    if cuts is not None:  # equal ones first
-        of_cuts = (1 + EQUAL) * np.linalg.norm(cuts.N, axis=(1, 2))
-        plant, at = np.append(cuts.plant, plant), np.append(cuts.frequency, at)
-        size = np.append(of_cuts, size)
-    most = tied(size).argmax()
-    return int(plant[most]), float(problem.omega[at[most]])
+    size, cuts = np.linalg.norm(nearest.U, axis=(1, 2)), nearest.cuts
+    plant, at = 0, tied(size).argmax()
+    if cuts is not None:
+        of_cuts = np.linalg.norm(cuts.N, axis=(1, 2))
+        if of_cuts.max() * (1 + EQUAL_MULTIPLIERS) >= size.max():
+            most = tied(of_cuts).argmax()
+            plant, at = cuts.plant[most], cuts.frequency[most]
+    return int(plant), float(problem.omega[at])

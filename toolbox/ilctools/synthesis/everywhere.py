@@ -15,17 +15,15 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.cuts import solve
 
-PASSED = 1e-9  # share of a bound that is rounding
+ROUNDING_OF_BOUND = 1e-9  # relative: what passes a bound by less keeps it
 ROUNDS = 50  # at which to give up
 FEW = 100  # bounds that are added in a round, beside those that are passed most
 
 
-def solve_everywhere(
-    problem: Problem, nearest=False, nearby: Solution | None = None
-) -> tuple[Problem, Solution]:
+def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution]:
     """Solve a problem; returned with all frequencies that it needs.
 
-    `nearest`: find the least M_max that can be met. `nearby`: see :func:`.cuts.solve`.
+    `nearest`: find the least M_max that can be met.
     """
     grid, chosen = on_a_grid(problem)
     if nearest:
@@ -33,9 +31,9 @@ def solve_everywhere(
         grid = replace(grid, objective=peak, bounds=replace(grid.bounds, M_max=np.inf))
     for _ in range(ROUNDS):
         wider = part(grid, chosen)
-        solution = solve(wider, nearby)
+        solution = solve(wider)
         share = np.where(chosen, 0, _share(grid, solution))
-        if share.max() <= 1 + PASSED:
+        if share.max() <= 1 + ROUNDING_OF_BOUND:
             break
         chosen = chosen | _worst(share)
     return wider, solution
@@ -45,7 +43,7 @@ def _share(problem, solution):
     """The largest share of a bound that a solution has at each frequency."""
     limit_M, gain = problem.M_max, 1.0
     if problem.objective.kind == "peak":  # rounding, where it is nearly zero
-        limit_M = solution.largest + PASSED * problem.unit(solution.largest)
+        limit_M = solution.largest + ROUNDING_OF_BOUND * problem.unit(solution.largest)
     if problem.objective.kind == "gain":
         gain = solution.largest
     L, K = problem.L(solution), problem.K(solution)
@@ -59,8 +57,8 @@ def _share(problem, solution):
 
 def _worst(share):
     """Where bounds are passed: at every crest, and at FEW other frequencies."""
-    passed = np.flatnonzero(share > 1 + PASSED)
-    crests, _ = find_peaks(np.pad(share, 1), height=1 + PASSED)
+    passed = np.flatnonzero(share > 1 + ROUNDING_OF_BOUND)
+    crests, _ = find_peaks(np.pad(share, 1), height=1 + ROUNDING_OF_BOUND)
     chosen = np.zeros(len(share), bool)
     chosen[crests - 1] = chosen[passed[:: 1 + len(passed) // FEW]] = True
     return chosen

@@ -22,7 +22,8 @@ from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.solver.bounds import Bound
 from ilctools.synthesis.solver.program import GENEROUS, Optimum, Program
 
-SMALLEST = 1e-10  # radius that counts as such, relative to the plant
+SMALLEST_RADIUS = 1e-10  # that counts as such, relative to the plant
+SMALLEST_WEIGHT = 1e-8  # of a frequency in the basis, relative: else rounding would be amplified
 
 
 def whitened_basis(problem):
@@ -31,7 +32,7 @@ def whitened_basis(problem):
     P = problem.through_base(problem.turned(problem.P), np.arange(len(Q)))
     weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
     weight = np.hypot(weight, largest_singular_values(problem.L_bound))
-    weight = np.maximum(weight, 1e-8 * weight.max())
+    weight = np.maximum(weight, SMALLEST_WEIGHT * weight.max())
     z = weight[:, None] * time_shifts(problem.omega * problem.Ts, problem.order)
     Phi, R = np.linalg.qr(np.concatenate([z.real, z.imag]).astype(float))
     real, imag = np.split(Phi, 2)
@@ -41,7 +42,7 @@ def whitened_basis(problem):
 def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
     """The bound on M, (40), for pairs of a plant and a frequency, or on [M; |Q| r L]."""
     if radius is not None:
-        radius = np.maximum(radius, SMALLEST * np.abs(problem.P).max())
+        radius = np.maximum(radius, SMALLEST_RADIUS * np.abs(problem.P).max())
     F, T = problem.affine(plant, frequency, radius)
     levels = np.broadcast_to(level, len(frequency))
     return Bound(_long(F), _long(T), frequency, levels, radius is not None)
@@ -49,6 +50,7 @@ def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
 
 def bound_on_L(W, frequency, level) -> Bound:
     """The bound on W L, (46), at some frequencies."""
+    W = _long(W)
     return Bound(0 * W, W, frequency, np.full(len(frequency), level), within_radius=False)
 
 
@@ -57,45 +59,29 @@ def _long(X):
     return np.ascontiguousarray(np.moveaxis(X, 0, -1), dtype=complex)
 
 
-def side_by_side(*bounds) -> Bound:
-    """Bounds with matrices of one size as one."""
-    return Bound(
-        np.concatenate([bound.F for bound in bounds], axis=2),
-        np.concatenate([bound.T for bound in bounds], axis=2),
-        np.concatenate([bound.at for bound in bounds]),
-        np.concatenate([bound.level for bound in bounds]),
-        bounds[0].within_radius,
-    )
-
-
 @dataclass(frozen=True)
 class Formulation:
-    """A problem as a program, whose columns are those of M, of L, and of the cuts."""
+    """A problem as a program."""
 
     problem: Problem
     program: Program
     R: np.ndarray  # (order, order): coefficients are the rows of x R^-T
-    nominal: np.ndarray  # frequencies of the bounds on the nominal M
-    plant: np.ndarray  # plants and frequencies of the cuts
-    frequency: np.ndarray
-
-    def x_of(self, solution: Solution) -> np.ndarray:
-        """The unknowns of the program that make a filter."""
-        return solution.coefficients[self.program.rows, self.program.cols] @ self.R.T
+    bounds: dict[str, Bound]  # of the program: "M", "L", "cuts", "beside"; none without columns
+    plant: np.ndarray  # of each cut
 
     def solution(self, optimum: Optimum) -> Solution:
         """The filter and the multipliers of an optimum of the program."""
         problem, program = self.problem, self.program
         m, n = problem.channels, len(problem.omega)
-        C, (U, V) = np.zeros((m, m, problem.order)), np.zeros((2, n, m, m), dtype=complex)
+        C, U = np.zeros((m, m, problem.order)), np.zeros((n, m, m), dtype=complex)
         C[program.rows, program.cols] = solve_triangular(self.R, optimum.x.T).T
-        N = [np.moveaxis(N, -1, 0) for N in optimum.multipliers]
-        ends = np.cumsum([len(self.nominal), n, len(problem.L_bound_beside[0])])
-        of_M, of_L, _, of_cuts = np.split(N[0], ends)
-        U[self.nominal], V[:] = of_M, problem.L_bound @ of_L  # of G = M and of G = W L
-        if problem.radius is not None:
-            of_cuts = N[1]
-        cuts = Cuts(self.plant, self.frequency, of_cuts) if len(self.plant) else None
+        multipliers = [np.moveaxis(N, -1, 0) for N in optimum.multipliers]
+        of, cuts = dict(zip(self.bounds, multipliers, strict=True)), None
+        if "M" in of:
+            U[self.bounds["M"].at] = of["M"]
+        if "cuts" in of:
+            cuts = Cuts(self.plant, self.bounds["cuts"].at, of["cuts"])
+        V = problem.L_bound @ of["L"]  # of L, where `of` has those of W L
         return Solution(C, U, V, optimum.largest, cuts)
 
 
@@ -137,24 +123,23 @@ def levels_of(problem) -> Levels:
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
-    every, radius = np.arange(len(problem.omega)), problem.radius
+    every, kind = np.arange(len(problem.omega)), problem.objective.kind
     nominal, plant, frequency = _bounded(problem, np.array(plant, int), np.array(frequency, int))
-    levels, W = levels_of(problem), _long(problem.L_bound)
-    M = bound_on_M(problem, 0 * nominal, nominal, None, levels.M[nominal])
-    L = bound_on_L(W, every, levels.L)
-    at, W_beside = problem.L_bound_beside
-    beside = bound_on_L(_long(W_beside), at, levels.one)
-    cuts = bound_on_M(problem, plant, frequency, radius, levels.cuts)
-    if radius is None:
-        bounds = (side_by_side(M, L, beside, cuts),)
-    else:
-        bounds = side_by_side(M, L, beside), cuts
+    levels, (at, W_beside) = levels_of(problem), problem.L_bound_beside
+    bounds = {
+        "M": bound_on_M(problem, 0 * nominal, nominal, None, levels.M[nominal]),
+        "L": bound_on_L(problem.L_bound, every, levels.L),
+        "cuts": bound_on_M(problem, plant, frequency, problem.radius, levels.cuts),
+        "beside": bound_on_L(W_beside, at, levels.one),
+    }
+    bounds = {name: bound for name, bound in bounds.items() if len(bound.at)}
     basis, R = whitened_basis(problem)
-    ones = np.ones((problem.channels, problem.channels))
-    rows, cols = np.nonzero(ones if problem.structure == "full" else np.diag(ones[0]))
-    most = GENEROUS if problem.objective.kind == "gain" else problem.M_max
-    program = Program(bounds, basis, rows, cols, levels.cost, np.array(levels.limits), most)
-    return Formulation(problem, program, R, nominal, plant, frequency)
+    entries = np.ones((problem.channels, problem.channels))
+    rows, cols = np.nonzero(entries if problem.structure == "full" else np.diag(entries[0]))
+    most = GENEROUS if kind == "gain" else problem.M_max
+    limits = np.array(levels.limits)
+    program = Program(tuple(bounds.values()), basis, rows, cols, levels.cost, limits, most)
+    return Formulation(problem, program, R, bounds, plant)
 
 
 def _bounded(problem, plant, frequency):

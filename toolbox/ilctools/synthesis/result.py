@@ -1,11 +1,13 @@
 """What comes of a synthesis: a filter with what is known about it, or why there is none."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ilctools import labels
+from ilctools.base import extended, in_units
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
@@ -13,9 +15,10 @@ from ilctools.filters import Filter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import Problem, Solution
+from ilctools.problem.problem import Problem
 from ilctools.response.door import in_own_units, named, response_of
 from ilctools.signals import check_match
+from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
 
 
@@ -23,12 +26,34 @@ from ilctools.threads import on_one_thread
 class Synthesis:
     """A learning filter and what was checked about it, from singular values."""
 
-    filter: Filter
-    problem: Problem  # as stated
     certificate: Certificate  # of optimality and bounds, independent of the solver
-    sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
-    sigma_L: np.ndarray  # and of L
-    solution: Solution  # of the solver, on which nothing relies
+
+    @property
+    def problem(self) -> Problem:
+        """The problem as stated."""
+        return self.certificate.problem
+
+    @cached_property
+    def filter(self) -> Filter:
+        """The learning filter L, for the plant's own channels in their units."""
+        L, response = self.certificate.scaled_filter, self.problem.response
+        if (directions := response.directions) is not None:
+            L = extended(L, directions.U, directions.V)
+        return in_units(L, response.scale.v, response.scale.y)
+
+    @cached_property
+    def _L(self) -> np.ndarray:
+        return self.certificate.scaled_filter.frequency_response(self.omega)
+
+    @property
+    def sigma_M(self) -> np.ndarray:
+        """Largest singular values of the nominal M at the design frequencies, shape (n,)."""
+        return largest_singular_values(self.problem.M(self._L))
+
+    @property
+    def sigma_L(self) -> np.ndarray:
+        """Largest singular values of L, in units of `scale`, there, shape (n,)."""
+        return largest_singular_values(self._L)
 
     @property
     def value(self) -> float:
@@ -92,9 +117,8 @@ class Synthesis:
             design: :func:`convergence`.
         """
         design = self.problem
-        if omega is None:
-            first, *_ = named(P).values()
-            _, omega = labels.table_of("P", first, None)
+        first, *_ = named(P).values()
+        _, omega = labels.table_of("P", first, omega)
         if omega is None:
             omega = getattr(P, "omega", self.omega)
         Q, like = design.lowpass, design.response

@@ -8,14 +8,14 @@ import numpy as np
 from ilctools.errors import SolverError
 from ilctools.problem.pose import pose, refuse_unless_square
 from ilctools.response.door import response_of
-from ilctools.synthesis.design import certified, warned
+from ilctools.synthesis.design import certified, warn_of_findings
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
 ENOUGH = 1.5  # times the gain of a filter of least peak: that filter must be well within the bound
-SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
+SAME_PEAK = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 
 
 @on_one_thread
@@ -59,13 +59,13 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     free = certified(problem)
     unit = ENOUGH * free.sigma_L.max()
     question = replace(problem, objective=replace(problem.objective, kind="gain"))
-    for same in SAME:
+    for same in SAME_PEAK:
         try:
             with np.errstate(all="ignore"):
                 room = same * problem.unit(free.value)
                 bounds = replace(problem.bounds, M_max=free.value + room, L_max=unit)
                 least = replace(question, bounds=bounds)
-                _, found = solve_everywhere(least, nearby=free.solution)
+                _, found = solve_everywhere(least)
             L_max = unit * found.largest
             break
         except (Infeasible, RuntimeError):
@@ -75,4 +75,6 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             "the least gain was not found: filters that keep the least peak are too much alike; "
             "take a shorter filter, or synthesise with an L_max"
         )
-    return warned(certified(replace(problem, bounds=replace(problem.bounds, L_max=L_max))))
+    return warn_of_findings(
+        certified(replace(problem, bounds=replace(problem.bounds, L_max=L_max)))
+    )

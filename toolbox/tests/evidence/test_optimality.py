@@ -1,4 +1,4 @@
-"""The lower bound; CVXPY's multipliers try it in synthesis/test_robust.py."""
+"""The lower bound; CVXPY's multipliers try it in synthesis/test_formulate.py."""
 
 import numpy as np
 import pytest

@@ -75,7 +75,6 @@ REFUSED = [  # arguments, and how the message begins
     ({"P": control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA, 2.0)}, "P.dt = 2.0 must be Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),
     ({"P": []}, "P = .* holds no plant"),
-    ({"P": singular(np.s_[:, 0])}, "P is singular at omega = "),
     ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
     ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, "P.B has 1 values"),
     ({"uncertainty": np.full(60, -0.1)}, "uncertainty reaches -0.1"),

@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 from plants import LOOPS, lag
 
-from ilctools import synthesise, trial_norm, zero_phase_butterworth
+from ilctools import measured_response, synthesise, trial_norm, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.response.door import response_of
-from ilctools.synthesis.cutoff import reached
+from ilctools.synthesis.cutoff import choose_cutoff
+
+LAG, SLOW = lag(0.5), lag()
+LINES = np.geomspace(0.01, 2, 40)
+RESPONSE = LAG(np.exp(1j * LINES)).reshape(1, 1, -1)
 
 
 def test_frequencies_with_a_large_radius_are_named_with_their_price():
@@ -49,7 +53,7 @@ def test_a_plant_that_just_ends_has_no_range_to_name():
     late = lag() * control.tf([1], [1, 0, 0], 1.0)
     omega = np.geomspace(1e-3, np.pi, 400)
     for P, reason in ((lag(), "how far P reaches"), ([lag(), control.ss(late)], "plants agree")):
-        limit = reached(response_of(P, omega), 0.3)
+        limit = choose_cutoff(response_of(P, omega), 0.3)
         assert reason in limit.reason and not limit.decisive and not limit.costly
 
 
@@ -82,5 +86,34 @@ def test_without_a_decisive_range_the_cutoff_is_the_least_of_all_limits():
     weak = omega[abs(P).min(axis=0) < 0.1 * rest][0]
     apart = (d > 1) & (omega > omega[0]) & (omega <= 2 * weak) & (omega < 3)
     each = 2 * np.arctan(np.tan(omega[apart] / 2) / (d[apart] - 1) ** 0.25)
-    limit = reached(response_of(plants, omega), 0.5)
+    limit = choose_cutoff(response_of(plants, omega), 0.5)
     assert limit.omega == pytest.approx(each.min(), rel=1e-12) and each.min() < weak
+
+
+def test_without_Q_the_cutoff_is_where_P_ends():
+    """Of a lag a tenth of what it is at rest, by its formula; L inverts no more than that."""
+    design = synthesise(SLOW)
+    ends = 2 * np.arcsin(np.sqrt((1 - 0.1**2) / 0.1**2 * 0.01 / (4 * 0.9)))  # |P| = 0.1
+    assert design.problem.lowpass.cutoff == pytest.approx(ends, rel=0.05)
+    low = np.exp(1j * design.Q.cutoff / 30)  # up to there L may be 20 times what inverts P
+    assert design.problem.L_max == pytest.approx(20 / abs(SLOW(low)), rel=1e-3)
+    assert design.sigma_L.max() <= design.problem.L_max * (1 + 1e-4)
+
+
+def test_what_is_too_uncertain_to_learn_is_said():
+    radius = 2 * abs(RESPONSE.ravel())
+    below = r"sigma_max\(M\) may reach .* below 0.01 rad/s"  # where Q is above one half
+    with (
+        pytest.warns(match=r"cut-off 0.01 rad/s, .* next to nothing is learned"),
+        pytest.warns(match=below),
+    ):
+        synthesise(control.frd(RESPONSE, LINES, 1.0), uncertainty=radius)
+
+
+def test_a_table_alone_is_enough():
+    """Its radius, or where it ends, limits the cut-off; the filter does for the plant itself."""
+    table = control.frd(RESPONSE, LINES, 1.0)
+    for P in (table, measured_response(table, uncertainty=0.02 + 0.1 * LINES)):
+        design = synthesise(P)
+        assert 0.3 < design.problem.lowpass.cutoff < 3 and design.certificate.failures == []
+        assert design.check(LAG).rate < 0.9

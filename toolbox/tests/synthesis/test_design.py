@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
-from plants import lags
+from plants import lags, random_response
 from problems import posed
 
 from ilctools import InfeasibleError, synthesise
 from ilctools.errors import SolverError
 from ilctools.evidence.certificate import certify
 from ilctools.models import frequency_response
-from ilctools.synthesis.design import insist
+from ilctools.synthesis.design import refuse_failures
 from ilctools.synthesis.everywhere import solve_everywhere
 
 
@@ -26,10 +26,10 @@ def test_a_wrong_filter_is_not_returned(loop, Q, factor, complaint):
     omega = np.geomspace(1e-4, np.pi, 250)
     problem = posed(loop, Q, omega, 1.0, **paper_choices(band=(1e-4, 0.01)))
     grid, solution = solve_everywhere(problem)
-    insist(certify(problem, grid, solution))
+    refuse_failures(certify(problem, grid, solution))
     dishonest = replace(solution, coefficients=solution.coefficients * factor)
     with pytest.raises(SolverError, match=complaint):
-        insist(certify(problem, grid, dishonest))
+        refuse_failures(certify(problem, grid, dishonest))
 
 
 @settings(max_examples=5)
@@ -71,3 +71,12 @@ def test_what_is_not_learned_at_one_frequency_is_learned_at_others():
     Q[3] = 0
     design = synthesise(P, Q, omega, 1.0, order=3, band=(0.05, 1), structure="full")
     assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
+
+
+def test_what_stands_in_the_way_is_named():
+    """A plant of the wrong sign cannot be learned together with the nominal one."""
+    P, Q, omega = random_response(1, 2)
+    with pytest.raises(InfeasibleError, match="most in the way: plant 2 at") as error:
+        synthesise([P, 1.1 * P, -P], Q, omega, 1.0, order=3, L_max=8.0, band=(0.01, 0.3))
+    assert error.value.plant == 2 and error.value.omega in omega
+    assert error.value.smallest_M_max >= Q.max() * (1 - 1e-6)

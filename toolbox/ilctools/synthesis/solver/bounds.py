@@ -9,9 +9,6 @@ less. That is so if and only if a number d exists such that
 by the S-procedure [1]. With a given share d = b share it is a plain bound again, on
 Lambda(share)^(-1/2) G, so that the smallest b is the minimum of that over the share.
 
-Arrays have the frequency last, so that an operation on all the small matrices is a few operations
-on long vectors: for m = 2 several times faster than a call of LAPACK for each.
-
 [1] S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and
     Control Theory, 1994, 2.6.3.
 """
@@ -21,8 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ilctools.singular_values import largest_singular_values
+from ilctools.synthesis.solver.inequalities import adjoint
 
-INSIDE = 0.05  # share of b that a first share leaves to M, and to H, at least
+LEAST_SHARE = 0.05  # of b that a first share leaves to M, and to H: any below one half will do
+TINY = np.finfo(float).tiny  # beside which a norm of zero is none
 
 
 @dataclass(frozen=True)
@@ -36,39 +35,37 @@ class Bound:
     within_radius: bool  # whether there is a number d for each column
 
     @property
-    def of_b(self):
-        """Lambda = diag(of_b b + of_d d), (p,): 1 for the rows of M."""
-        rows_of_M = self.F.shape[1] if self.within_radius else len(self.F)
-        return (np.arange(len(self.F)) < rows_of_M).astype(float)
+    def along_b(self):
+        """What b is times in the diagonal of S, (p + q,): zero in the rows of H."""
+        p, q, _ = self.F.shape
+        row = np.arange(p + q)
+        return 1.0 - ((q <= row) & (row < p))
 
     @property
-    def of_d(self):
-        """-1 for the rows of M and 1 for the rows of H; zero if the bound is plain, (p,)."""
-        return (1 - 2 * self.of_b) * self.within_radius
+    def along_d(self):
+        """What d is times there, (p + q,): -1 in the rows of M, 1 in those of H."""
+        p, q, _ = self.F.shape
+        return self.within_radius * np.repeat([-1.0, 1.0, 0.0], [q, p - q, q])
 
     def diagonal(self, b, d):
-        """That of Lambda, shape (p, c)."""
-        return self.of_b[:, None] * b + self.of_d[:, None] * d
+        """That of S, (p + q, c)."""
+        return self.along_b[:, None] * b + self.along_d[:, None] * d
+
+    def inequality(self, b, d, G):
+        """S at each column, (p + q, p + q, c); its change, for changes of b, d and G."""
+        p, q, c = G.shape
+        S = np.zeros((p + q, p + q, c), dtype=complex)
+        S[:p, p:], S[p:, :p] = G, adjoint(G)
+        S[range(p + q), range(p + q)] = self.diagonal(b, d)
+        return S
 
     def first_share(self, G):
         """A share d / b for G, shape (c,), that leaves a positive part to each row of Lambda."""
-        if not self.within_radius:
-            return np.zeros(G.shape[2])
-        power = (np.abs(G) ** 2).sum(axis=1)
-        above, below = np.sqrt(np.stack([self.of_b, 1 - self.of_b]) @ power)
-        part = below + INSIDE * (above + 1e-300)
-        return part / (above + (1 + INSIDE) * part)
+        of_M, of_H = (np.linalg.norm(part, axis=(0, 1)) for part in np.split(G, [G.shape[1]]))
+        part = of_H + LEAST_SHARE * (of_M + TINY)
+        return self.within_radius * part / (of_M + (1 + LEAST_SHARE) * part)
 
     def value(self, G, share):
         """The smallest b for G with this share, at each column."""
-        scaled = G / np.sqrt(self.diagonal(1.0, share))[:, None]
+        scaled = G / np.sqrt(self.diagonal(1.0, share)[: len(G), None])
         return largest_singular_values(np.moveaxis(scaled, -1, 0))
-
-
-def product(A, B):
-    """A B at each frequency."""
-    return np.einsum("ijn,jkn->ikn", A, B)
-
-
-def adjoint(A):
-    return A.conj().swapaxes(0, 1)

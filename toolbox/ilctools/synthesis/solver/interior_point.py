@@ -40,30 +40,28 @@ Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as 
 """
 
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from ilctools.synthesis.solver.inequalities import (
-    Slack,
-    inner,
-    is_inside,
-    longest_step,
-    positive_definite,
-)
+from ilctools.synthesis.solver.inequalities import hermitian, inner, inverse, longest_step, product
 from ilctools.synthesis.solver.newton import NewtonSystem
 from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 
-GAP = 2e-9  # relative gap at which to stop
-STATIONARY = 0.1  # part of the gap by which rounding may keep (2) from holding
-CORRECTIONS = 10  # of a direction for that
-MOST_STEPS, MOST_MOVING = 100, 40  # at most, and with limits that are moved
+RELATIVE_GAP = 2e-9  # at which to stop
+SHARE_OF_GAP = 0.1  # by which rounding may keep (2) from holding
+MOST_CORRECTIONS = 10  # of a direction for that
+MOST_STEPS = 100
 MOST_STAGNANT = 8  # steps without a smaller gap after which to stop
-UNIT = 1e-4  # of the cost without learning: a smaller objective is as good as zero
-CLOSE = 1e-6  # part of a bound by which one below it may miss the proof that none can be met
-SHORTEST = 0.01  # step below which there is no progress
-ACCURACY = 0.02  # of a step's length, relative
+LEAST_OBJECTIVE = 1e-4  # of that without learning: a smaller one is as good as zero
+NEARLY_PROVEN = 1e-6  # relative: a bound so near to the least one may miss the proof of it
+SHORTEST_STEP = 0.01  # below it there is no progress
+LEAST_DAMPING, MORE_DAMPING = 0.9, 0.09  # of steps to the boundary, by their lengths [3]
+MOVED_OUT = 1.5  # a limit that is passed begins at so many times what passes it
+CENTRED = 5.0  # times the mu by which (2) holds in the mean: a start farther inside
+LARGEST_X = 5.0  # |x|^2 by frequency and channel where bounds hold: 2^2 by those on M, 1 by L's
 
 
 @dataclass(frozen=True)
@@ -81,11 +79,6 @@ class Point:
 
     def moved(self, direction, primal, dual):
         """The point after a step in a direction."""
-
-        def sums(parts, changes, length):
-            pairs = zip(parts, changes, strict=True)
-            return [part + length * change for part, change in pairs] if length else parts
-
         return Point(
             self.program,
             self.x + primal * direction.x,
@@ -97,12 +90,12 @@ class Point:
             self.eta + dual * direction.eta,
         )
 
-    @property
+    @cached_property
     def S(self):
-        """Lambda, b and G of each S in (1); of each change, if this is a direction."""
+        """S of each bound in (1); its change, if this is a direction."""
         levels = self.program.at_columns(self.t, self.limits)
         columns = zip(self.program.bounds, levels, self.d, self.G, strict=True)
-        return [(bound.diagonal(b, d), b, G) for bound, b, d, G in columns]
+        return [bound.inequality(b, d, G) for bound, b, d, G in columns]
 
     @property
     def room(self):
@@ -111,6 +104,7 @@ class Point:
 
     @property
     def objective(self):
+        """cost . t."""
         return self.program.cost @ self.t
 
     @property
@@ -121,17 +115,21 @@ class Point:
     @cached_property
     def complementarity(self):
         """sum <S, Y> + (limit - t) . eta."""
-        pairs = zip(self.S, self.Y, strict=True)
-        return sum(inner(*S, Y) for S, Y in pairs) + self.room @ self.eta
+        return sum(map(inner, self.S, self.Y)) + self.room @ self.eta
 
     @property
     def dual_value(self):
         """The dual objective (3), a lower bound on the optimum where (2) holds."""
-        F = [bound.F for bound in self.program.bounds]
-        zeros = {"x": 0 * self.x, "t": 0 * self.t, "d": [0 * d for d in self.d], "G": F}
-        return -replace(self, **zeros, limits=self.program.limits).complementarity
+        F, d = [bound.F for bound in self.program.bounds], [0 * d for d in self.d]
+        at_zero = replace(self, t=0 * self.t, d=d, G=F, limits=self.program.limits)
+        return -at_zero.complementarity
 
-    @property
+    @cached_property
+    def gap(self):
+        """Between objective and dual value, where (2) holds but for rounding."""
+        return max(self.complementarity, abs(self.objective - self.dual_value))
+
+    @cached_property
     def stationarity(self):
         """sum <dS/dx, Y> of (2)."""
         program, of_L = self.program, []
@@ -146,43 +144,50 @@ class Point:
         return len(self.t) + sum(Y.shape[0] * Y.shape[2] for Y in self.Y)
 
 
+def sums(parts, changes, length):
+    """Each part after a step."""
+    pairs = zip(parts, changes, strict=True)
+    return [part + length * change for part, change in pairs] if length else parts
+
+
 def begin(program, x):
     """A point at x that fulfils (4), where the limit of a bound that x violates is moved out."""
     G = program.matrices(x)
     shares = [bound.first_share(G_j) for bound, G_j in zip(program.bounds, G, strict=True)]
     t, peaks = program.largest(program.values(x, shares))
     peaks[0] = max(*t, peaks[0])
-    limits = np.where(peaks < program.limits, program.limits, 1.5 * peaks)
+    limits = np.where(peaks < program.limits, program.limits, MOVED_OUT * peaks)
     t = (t + limits[0]) / 2
     d = [b * share for b, share in zip(program.at_columns(t, limits), shares, strict=True)]
     p = Point(program, x, t, limits, d, G, [], t)
-    X = [Slack(*S).X for S in p.S]
+    X = [inverse(S) for S in p.S]
     has_t = program.at_own_t(np.ones(len(t)))
     size = sum(np.einsum("iin,n->", X_j, at).real for X_j, at in zip(X, has_t, strict=True))
-    mu = 5 * program.cost.sum() / size
+    mu = CENTRED * program.cost.sum() / size
     return replace(p, Y=[mu * X_j for X_j in X], eta=mu / p.room)
 
 
 class Newton:
-    """Directions from a point, by (5) and (2)."""
+    """Directions from a point, by (5) and (2); a LinAlgError where rounding spoils them."""
 
     def __init__(self, p):
-        self.p, self.slacks = p, [Slack(*S) for S in p.S]
-        self.system = NewtonSystem(p.program, self.slacks, p.Y, p.eta / p.room)
+        self.p, self.X = p, [inverse(S) for S in p.S]
+        self.zero = p.moved(p, -1, -1)
+        self.system = NewtonSystem(p.program, self.X, p.Y, p.eta / p.room)
 
     def less_product(self, d, Y, dS):
         """A direction, from whose dY herm(Y dS X) is subtracted."""
-        columns = zip(d.Y, self.slacks, Y, dS, strict=True)
-        return replace(d, Y=[dY - slack.sandwich(Y_j, *dS_j) for dY, slack, Y_j, dS_j in columns])
+        columns = zip(d.Y, Y, dS, self.X, strict=True)
+        dY = [dY_j - hermitian(product(product(Y_j, dS_j), X)) for dY_j, Y_j, dS_j, X in columns]
+        return replace(d, Y=dY)
 
     def without_unknowns(self, mu, predictor):
         """(5) for dx = dt = dd = 0: dY, deta, and the way of the limits."""
         p = self.p
         toward = p.program.limits - p.limits
-        dY = [mu * slack.X - Y for slack, Y in zip(self.slacks, p.Y, strict=True)]
+        dY = [mu * X - Y for X, Y in zip(self.X, p.Y, strict=True)]
         eta = (mu - p.eta * toward[0]) / p.room - p.eta
-        zeros = [0 * d for d in p.d], [0 * G for G in p.G]
-        d = Point(p.program, 0 * p.x, 0 * p.t, toward, *zeros, dY, eta)
+        d = replace(self.zero, limits=toward, Y=dY, eta=eta)
         if toward.any():
             d = self.less_product(d, p.Y, d.S)
         if predictor is not None:
@@ -195,38 +200,42 @@ class Newton:
         p = self.p
         dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
         dG, deta = p.program.linear(dx), p.eta / p.room * dt
-        dY = [0 * Y for Y in p.Y]
-        change = Point(p.program, dx, dt, 0 * p.limits, dd, dG, dY, deta)
+        change = replace(self.zero, x=dx, t=dt, d=dd, G=dG, eta=deta)
         return self.less_product(change, p.Y, change.S)
 
-    def direction(self, mu, predictor=None, tolerance=None):
-        """The direction to (4); None if rounding keeps (2) from holding within a tolerance.
-
-        What rounding has left of the residual of (2) is removed by conjugate residuals [5]: each
-        correction is made orthogonal, in its effect, to those before.
-        """
+    def direction(self, mu, predictor=None):
+        """The direction to (4), but for rounding."""
         d = self.without_unknowns(mu, predictor)
-        d = d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
-        if tolerance is None:
-            return d
-        earlier = []
-        for _ in range(CORRECTIONS):
-            multipliers = self.p.moved(d, 0, 1)
+        return d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
+
+    def refined(self, d):
+        """A direction, rid of what rounding has left of the residual of (2).
+
+        By conjugate residuals [5]: each correction is made orthogonal, in its effect, to those
+        before.
+        """
+        p, earlier = self.p, []
+        for _ in range(MOST_CORRECTIONS):
+            multipliers = p.moved(d, 0, 1)
             residual = multipliers.stationarity
-            if np.linalg.norm(residual) <= tolerance:
+            missed = np.linalg.norm(residual) * np.linalg.norm(p.x)
+            if missed <= SHARE_OF_GAP * p.complementarity:
                 return d
-            c = self.correction(multipliers)
-            effect = -c.stationarity
-            for other, of_other in earlier:
-                share = (of_other * effect).sum() / (of_other**2).sum()
-                c, effect = c.moved(other, -share, -share), effect - share * of_other
-            power = (effect**2).sum()
-            if power == 0:
+            correction = self.correction(multipliers)
+            for other in earlier:
+                correction = moved_best(correction, other, correction.stationarity)
+            if not correction.stationarity.any():
                 break
-            share = (effect * residual).sum() / power
-            d = d.moved(c, share, share)
-            earlier.append((c, effect))
-        return None
+            d = moved_best(d, correction, residual)
+            earlier.append(correction)
+        raise np.linalg.LinAlgError("rounding keeps (2) from holding")
+
+
+def moved_best(d, change, residual):
+    """A direction moved by as much of a change as makes a residual of (2) least."""
+    effect = change.stationarity
+    length = -(effect * residual).sum() / (effect**2).sum()
+    return d.moved(change, length, length)
 
 
 def step_lengths(p, direction):
@@ -234,32 +243,26 @@ def step_lengths(p, direction):
     primal = 1 / max(1, (-direction.room / p.room).max())
     dual = 1 / max(1, (-direction.eta / p.eta).max())
     for S, dS, Y, dY in zip(p.S, direction.S, p.Y, direction.Y, strict=True):
-        primal = longest_step(is_inside, S, dS, primal, ACCURACY)
-        dual = longest_step(positive_definite, [Y], [dY], dual, ACCURACY)
+        primal, dual = longest_step(S, dS, primal), longest_step(Y, dY, dual)
     return primal, dual
 
 
 def mehrotra(p):
-    """The direction of Mehrotra's method from p; None if it is not accurate enough."""
-    try:
-        newton = Newton(p)
-    except np.linalg.LinAlgError:
-        return None
-    total, predictor = p.complementarity, newton.direction(0.0)
+    """The direction of Mehrotra's method from p."""
+    newton, total = Newton(p), p.complementarity
+    predictor = newton.direction(mu=0.0)
     primal, dual = step_lengths(p, predictor)
     remaining = p.moved(predictor, primal, dual).complementarity / total
     sigma = min(1, max(remaining, 0)) ** (1 + 2 * min(primal, dual) ** 2)
-    size = np.linalg.norm(p.x)
-    tolerance = STATIONARY * total / size if size else np.inf
-    return newton.direction(sigma * total / p.degree, predictor, tolerance)
+    return newton.refined(newton.direction(sigma * total / p.degree, predictor))
 
 
 def advanced(p, direction):
     """The point after a step that stays inside; None if that is short."""
     lengths = step_lengths(p, direction)
-    damping = 0.9 + 0.09 * min(lengths)
+    damping = LEAST_DAMPING + MORE_DAMPING * min(lengths)
     primal, dual = (1.0 if length == 1 else damping * length for length in lengths)
-    if max(primal, dual) < SHORTEST:
+    if max(primal, dual) < SHORTEST_STEP:
         return None
     after = p.moved(direction, primal, dual)
     # without rounding
@@ -268,85 +271,98 @@ def advanced(p, direction):
 
 def ruled_out(p, objective):
     """Whether no x that meets the bounds reaches an objective, by the dual value (3)."""
-    # By more than the first term, no filter that meets the bounds has a larger |x|.
+    # By more than the second term, no filter that meets the bounds has a larger |x|.
     program = p.program
     n, m = program.basis.shape[1], program.bounds[0].F.shape[1]
-    x_max = np.sqrt(5 * n * m) * np.linalg.norm(p.stationarity)
-    return p.dual_value - x_max > objective
+    missed = np.sqrt(LARGEST_X * n * m) * np.linalg.norm(p.stationarity)
+    return p.dual_value - missed > objective
+
+
+class Outcome(Enum):
+    """Why the central path was left."""
+
+    OPTIMAL = "the gap is closed"
+    ENOUGH = "the objective is low enough"
+    STAGNANT = "the gap does not get smaller"
+    INFEASIBLE = "no filter meets the bounds"
+    ROUNDING = "rounding spoils the direction"
+    SHORT = "the steps became too short"
+    MANY = "too many steps"
 
 
 class Path(NamedTuple):
     """What came of following the central path."""
 
     best: Point | None  # the point of the smallest gap within the limits
-    end: str  # why it was left
+    outcome: Outcome
 
 
 def follow(p, enough=0.0) -> Path:
     """Follow the central path from p to an optimum, or to an objective that is low enough."""
-    program, (idle, _) = p.program, p.program.without_learning()
-    unit, largest = UNIT * program.cost @ idle, program.cost.sum() * program.limits[0]
-    best, smallest_gap, stagnant = None, np.inf, 0
+    best, improved = None, 0
     for step in range(MOST_STEPS):
-        if p.within_limits:
-            gap = max(p.complementarity, abs(p.objective - p.dual_value))
-            stagnant += 1
-            if gap < smallest_gap:
-                best, smallest_gap, stagnant = p, gap, 0
-            if gap < GAP * max(p.objective, unit):
-                return Path(best, "the gap is closed")
-            if p.objective < enough:
-                return Path(best, "the objective is low enough")
-            if stagnant == MOST_STAGNANT:
-                return Path(best, "the gap does not get smaller")
-        elif step > MOST_MOVING:
-            return Path(best, "the bounds were not met in time")
-        elif ruled_out(p, largest):
-            return Path(best, "no filter meets the bounds")
-        direction = mehrotra(p)
-        if direction is None:
-            return Path(best, "rounding spoils the direction")
+        if p.within_limits and (best is None or p.gap < best.gap):
+            best, improved = p, step
+        outcome = outcome_at(p, enough, stagnant=step - improved)
+        if outcome is not None:
+            return Path(best, outcome)
+        try:
+            direction = mehrotra(p)
+        except np.linalg.LinAlgError:
+            return Path(best, Outcome.ROUNDING)
         p = advanced(p, direction)
         if p is None:
-            return Path(best, "the steps became too short")
-    return Path(best, "too many steps")
+            return Path(best, Outcome.SHORT)
+    return Path(best, Outcome.MANY)
 
 
-def minimise(program: Program, nearby=None) -> Optimum:
+def outcome_at(p, enough, stagnant) -> Outcome | None:
+    """Why the path ends at p, some steps after the best point; None if it goes on."""
+    program = p.program
+    if not p.within_limits:
+        largest = program.cost.sum() * program.limits[0]
+        return Outcome.INFEASIBLE if ruled_out(p, largest) else None
+    idle, _ = program.without_learning()
+    if p.gap < RELATIVE_GAP * max(p.objective, LEAST_OBJECTIVE * program.cost @ idle):
+        return Outcome.OPTIMAL
+    if p.objective < enough:
+        return Outcome.ENOUGH
+    return Outcome.STAGNANT if stagnant == MOST_STAGNANT else None
+
+
+def minimise(program: Program) -> Optimum:
     """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails.
 
-    The path begins at zero; where it does not lead within the limits, at an x `nearby`, if there is
-    one, which keeps them; else at the x of phase one.
+    The path begins at zero; where it does not lead within the limits, at the x of phase one.
     """
     zero = np.zeros((len(program.rows), len(program.basis)))
-    path = follow(begin(program, zero))
-    if path.best is None and nearby is not None:
-        path = follow(begin(program, nearby))
-    if path.best is None:
-        path = follow(begin(program, phase_one(program, zero).x))
-    if path.best is None:
-        raise RuntimeError(f"no filter met the bounds: {path.end}")
-    if program.shared and path.best.t[0] > program.most:
+    best, outcome = follow(begin(program, zero))
+    if best is None:
+        best, outcome = follow(begin(program, phase_one(program, zero).x))
+    if best is None:
+        raise RuntimeError(f"no filter met the bounds: {outcome.value}")
+    if program.shared and best.t[0] > program.most:
         raise Infeasible("the bounds cannot be met")
-    return optimum(path.best)
+    return optimum(best)
 
 
-def phase_one(program, zero) -> Point:
+def phase_one(program, x) -> Point:
     """A point that meets the bounds, from the least largest value."""
-    nearest, end = follow(begin(program.minimax(), zero), enough=program.most)
+    nearest, outcome = follow(begin(program.minimax(), x), enough=program.most)
     if nearest is None:
-        raise RuntimeError(f"no point to start from: {end}")
+        raise RuntimeError(f"no point to start from: {outcome.value}")
     if nearest.t[0] < program.most:
         return nearest
-    if ruled_out(nearest, (1 - CLOSE) * program.most):
+    if ruled_out(nearest, (1 - NEARLY_PROVEN) * program.most):
         raise Infeasible("the bounds cannot be met")
-    raise RuntimeError(f"the bounds were neither met nor ruled out: {end}")
+    raise RuntimeError(f"the bounds were neither met nor ruled out: {outcome.value}")
 
 
 def optimum(p):
     """What is returned of a point."""
     program = p.program
-    shares = [d / b for d, (_, b, _) in zip(p.d, p.S, strict=True)]
-    multipliers = [-2 * Y[: len(G), len(G) :] for Y, (_, _, G) in zip(p.Y, p.S, strict=True)]
+    levels = program.at_columns(p.t, p.limits)
+    shares = [d / b for d, b in zip(p.d, levels, strict=True)]
+    multipliers = [-2 * Y[: len(G), len(G) :] for Y, G in zip(p.Y, p.G, strict=True)]
     t, limits = program.largest(program.values(p.x, shares))
     return Optimum(p.x, multipliers, max(*t, limits[0]))

@@ -19,7 +19,7 @@ and what remains for t and L has zt zt / zz, zt zL / zz and zL zL / zz subtracte
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ilctools.synthesis.solver.bounds import adjoint, product
+from ilctools.synthesis.solver.inequalities import adjoint, product
 
 EPS = np.finfo(float).eps
 
@@ -27,14 +27,12 @@ EPS = np.finfo(float).eps
 class Block:
     """One bound at a point: its second derivatives in z, in a shared t and in the entries of L."""
 
-    def __init__(self, program, bound, slack, Y, barrier):
-        self.program, self.bound, self.slack, self.Y = program, bound, slack, Y
-        has_t = self.bound.level < len(program.cost)
+    def __init__(self, program, bound, X, Y, barrier):
+        self.program, self.bound, self.X, self.Y = program, bound, X, Y
+        has_t = bound.level < len(program.cost)
         self.has_shared_t, self.has_own_t = has_t & program.shared, has_t & (not program.shared)
-        of_b = np.ones(self.bound.F.shape[1])  # b stands in Lambda and below it
-        self.along_t = np.append(self.bound.of_b, of_b)
-        along_d = np.append(self.bound.of_d, 0 * of_b)
-        self.along_z = along_d if self.bound.within_radius else self.along_t
+        self.along_t = bound.along_b
+        self.along_z = bound.along_d if bound.within_radius else bound.along_b
         self._eliminate_z(barrier)
 
     def _eliminate_z(self, barrier):
@@ -51,11 +49,11 @@ class Block:
 
     def _second(self, a, b):
         """<a, Y b X> for two directions in the diagonal, (c,)."""
-        return np.einsum("i,ijc,j->c", a, (self.Y * self.slack.X.conj()).real, b)
+        return np.einsum("i,ijc,j->c", a, (self.Y * self.X.conj()).real, b)
 
     def _mixed(self, a):
         """<a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
-        X, Y, a, p = self.slack.X, self.Y, a[:, None], len(self.bound.F)
+        X, Y, a, p = self.X, self.Y, a[:, None], len(self.bound.F)
         W = product(X[p:] * a, Y[:, :p]) + product(Y[p:] * a, X[:, :p])
         return self.program.of_entries(self.bound, W)
 
@@ -66,7 +64,7 @@ class Block:
 
             tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)).
         """
-        X, Y, T = self.slack.X, self.Y, self.bound.T
+        X, Y, T = self.X, self.Y, self.bound.T
         p = len(T)
         X22, Y22 = X[p:, p:], Y[p:, p:]
         X21, Y21 = (product(S[p:, :p], T) for S in (X, Y))
@@ -97,9 +95,9 @@ class NewtonSystem:
     A LinAlgError where the bounds leave less room than rounding takes.
     """
 
-    def __init__(self, program, slacks, Y, barrier):
+    def __init__(self, program, X, Y, barrier):
         self.program = program
-        columns = zip(program.bounds, slacks, Y, program.at_own_t(barrier), strict=True)
+        columns = zip(program.bounds, X, Y, program.at_own_t(barrier), strict=True)
         self.blocks = [Block(program, *each) for each in columns]
         tL = program.onto_x([block.tL for block in self.blocks]).ravel()
         tt = sum(block.tt for block in self.blocks) + (barrier[0] if program.shared else 1)

@@ -16,7 +16,8 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from ilctools.synthesis.solver.bounds import Bound, product
+from ilctools.synthesis.solver.bounds import Bound
+from ilctools.synthesis.solver.inequalities import product
 
 GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
 
@@ -105,18 +106,11 @@ class Program:
     @cached_property
     def incidence(self):
         """Of each bound, which column is at which frequency, (c, n): g @ incidence adds them up."""
-        matrices = []
-        for bound in self.bounds:
-            c = len(bound.at)
-            shape = (c, self.basis.shape[1])
-            matrices.append(csr_array((np.ones(c), (np.arange(c), bound.at)), shape))
-        return matrices
-
-    @cached_property
-    def of_columns(self):
-        """Phi at the columns of each bound, (c, order)."""
-        return [self.basis[:, bound.at].T for bound in self.bounds]
+        n = self.basis.shape[1]
+        columns = [(bound.at, np.arange(len(bound.at) + 1)) for bound in self.bounds]
+        return [csr_array((np.ones(len(at)), at, rows), (len(at), n)) for at, rows in columns]
 
     def onto_x(self, g):
         """The derivative of sum Re g L with respect to x, of numbers for each bound's entries."""
-        return sum((g_j @ Phi).real for g_j, Phi in zip(g, self.of_columns, strict=True))
+        pairs = zip(g, self.incidence, strict=True)
+        return (sum(g_j @ incidence for g_j, incidence in pairs) @ self.basis.T).real
