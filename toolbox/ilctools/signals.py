@@ -13,6 +13,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 
+TRIAL_AXES = ("trial", "time", "channel")  # of outputs and controls
 SIGNALS = {  # of trials, in their order in a log, and the role of their channels
     "reference": "output",
     "v": "output",
@@ -85,15 +86,16 @@ def dataset(
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
     }
-    variables, role_of = {}, SIGNALS | {"e": "output"}
-    for role, names in zip(ROLES, (outputs, controls, sources, sensors), strict=True):
-        dimension = role if role in ("source", "sensor") else "channel"
-        labels = [units.get(name, "") for name in names]
-        for name in role_of:
-            if role_of[name] == role and name in signals and len(names):
-                coordinates |= {role: (dimension, [*names]), f"{role}_unit": (dimension, labels)}
-                attributes = {"units": ", ".join(dict.fromkeys(labels))}
-                variables[name] = (("trial", "time", dimension), signals[name], attributes)
+    names_by_role = dict(zip(ROLES, (outputs, controls, sources, sensors), strict=True))
+    variables = {}
+    for signal, role in (SIGNALS | {"e": "output"}).items():
+        names = [*names_by_role[role]]
+        if names and signal in signals:
+            dimension = role if role in ("source", "sensor") else "channel"
+            labels = [units.get(name, "") for name in names]
+            coordinates |= {role: (dimension, names), f"{role}_unit": (dimension, labels)}
+            attributes = {"units": ", ".join(dict.fromkeys(labels))}
+            variables[signal] = ("trial", "time", dimension), signals[signal], attributes
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 

@@ -20,8 +20,8 @@ from ilctools.law.notes import is_newer
 from ilctools.signals import SIGNALS, period_of
 
 # the second where the note of L `is_newer`
-FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
-KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
+LOG_FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
+RESERVED_KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
 
 _message = Repr()
@@ -67,7 +67,7 @@ def save_log(trials: xr.Dataset, path) -> None:
     """
     path = arguments.path("path", path)
     arguments.instance("trials", trials, xr.Dataset)
-    keep_others(path, f"# format: {FORMATS[0][:-1]}")
+    keep_others(path, f"# format: {LOG_FORMATS[0][:-1]}")
     write_log(trials, path)
 
 
@@ -75,7 +75,7 @@ def write_log(trials: xr.Dataset, path) -> None:
     """Write a log, whatever is there."""
     signals, Ts = signals_of(trials), period_of(trials)
     metadata = {
-        "format": FORMATS[is_newer(str(trials.attrs.get("L")))],
+        "format": LOG_FORMATS[is_newer(str(trials.attrs.get("L")))],
         "Ts": f"{Ts!r} s",
         "signals": json.dumps(signals, ensure_ascii=False),
         **_free_metadata(trials.attrs),
@@ -168,7 +168,7 @@ def _free_metadata(attributes):
     for key, value in attributes.items():
         if key == "Ts":
             continue
-        if key in KEYS or not re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", str(key)):
+        if key in RESERVED_KEYS or not re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", str(key)):
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         default = lambda part: np.asarray(part).tolist()  # noqa: E731
