@@ -65,7 +65,7 @@ def test_a_clock_since_1970_in_a_finer_unit_is_not_one_in_s():
     in_ms, in_s = (pd.DataFrame({"t": clock, "T": t}) for clock in (1000 * t, t))
     asked = {"time": "t", "outputs": {"T": "T"}}
     for more in ({}, {"Ts": 0.25}, {"units": {"time": "s"}}):
-        with pytest.raises(LogError, match="begins at 1000000000000, .* state its unit"):
+        with pytest.raises(LogError, match=r"begins at 1000000000000, .* state its unit"):
             read_table(in_ms, **asked, **more)
     assert read_table(in_ms, **asked, units={"time": "ms"}).attrs["Ts"] == 0.25
     assert read_table(in_s, **asked).attrs["Ts"] == 0.25

@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import xarray as xr
 from plants import random_plant
 from written_out import another, mixed, simulated
 
@@ -17,7 +16,6 @@ from ilctools import (
     trial_map,
     zero_phase_butterworth,
 )
-from ilctools.trials.rms import rms
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 ZERO = np.zeros((50, 2))
@@ -48,15 +46,6 @@ def test_trials_are_those_of_the_law_and_the_loop_written_out(other, learning):
         if learning:
             v = 0.3 * v + 0.7 * law.Q.apply(v + law.L.apply(r[k] - y))  # (23), and it rests
             v[55:] = 0
-
-
-def test_rms_is_the_papers_definition():
-    e = np.random.default_rng(2).standard_normal((1, 50, 2))
-    expected = np.sqrt(sum(e[0, p] @ e[0, p] for p in range(50)) / 50)
-    labelled = xr.DataArray(e, dims=("trial", "time", "channel"))
-    assert rms(labelled).item() == pytest.approx(expected)
-    log = xr.Dataset({"reference": 2 * labelled[0], "y": labelled})
-    assert rms(log).item() == rms(labelled).item()
 
 
 @pytest.mark.parametrize("rest", [0, 15])
