@@ -45,7 +45,7 @@ def load_log(path) -> xr.Dataset:
     ------
     LogError
         The first thing that is wrong, with its metadata or its row: 0 is the first one below the
-        titles. A workbook of a spreadsheet program and text that is not UTF-8 are named as such.
+        titles. For a file that is no text in UTF-8, the error says what to do.
 
     Warns
     -----
@@ -81,7 +81,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
         # a line that is whole has a line feed
         file = regular(path)
         remedy = "a program that opened the log may have saved it anew. Save it as UTF-8"
-        with text_in(file, None, remedy):
+        with text_in("utf-8", remedy):
             *lines, torn = file.read_text(encoding="utf-8-sig").split("\n")
         metadata = _metadata(lines)
         if metadata.get("format") not in LOG_FORMATS:

@@ -88,8 +88,8 @@ def read_table(
     ------
     LogError
         The first thing that is wrong with the table, with its column, and its row as pandas counts
-        them: 0 is the first one below the titles. A workbook of a spreadsheet program and text in
-        an encoding other than `encoding`, by default UTF-8, are named as such.
+        them: 0 is the first one below the titles. For a file that is no text in `encoding`, by
+        default UTF-8, such as a workbook, the error says what to do.
 
     See Also
     --------
@@ -146,9 +146,10 @@ def _frame_of(source, options):
     """What pandas reads of a text file, or has read, and a note on where it is from."""
     if isinstance(source, pd.DataFrame):
         return pd.DataFrame(source, **options), {}
-    remedy = "pass read_table(..., encoding={encoding!r})"
-    with text_in(regular(source), options.get("encoding"), remedy):
-        return pd.read_csv(source, **OPTIONS | options), {"origin": f"read from {source.name}"}
+    remedy = "pass read_table(..., encoding='cp1252'), or what else it is in, such as 'utf-16'"
+    with text_in(options.get("encoding") or "utf-8", remedy):
+        frame = pd.read_csv(regular(source), **OPTIONS | options)
+    return frame, {"origin": f"read from {source.name}"}
 
 
 def _signals(frame, asked, units):

@@ -68,9 +68,9 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     trials : xarray.Dataset
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
-        If its design was for more than one model, or else its loop has a model P, the trials are
-        compared with that: they must contradict each of the plants. Else they are compared with the
-        model of its design, or that of its L, see :func:`known_plants`.
+        The trials are compared with the plants of its design, and must contradict each of them. If
+        it has no design, they are compared with its loop's P or the model of its L, see
+        :func:`known_plants`.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -164,19 +164,17 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 def known_plants(law: Law) -> list[Callable]:
     """P and its radius over omega, of each plant that the trials are compared with.
 
-    These are the plants of the design, if it knew more than one exact model; else the loop's P;
-    else the model of the design; else, of a law that was read from a file, the model in its L.
+    These are the plants of the design; else, of a law that was read from a file, the loop's P, or
+    the model in its L.
     """
-    region, model = law.region, getattr(law.loop, "P", None)
-    if region is None and model is None:
-        model = model_in(law.L)
-    alone = region is None or (
-        region.radius is None and not region.sampled and len(region.models) == 1
-    )
-    if alone and model is not None:
+    region = law.region
+    if region is None:
+        model = getattr(law.loop, "P", None)
+        model = model_in(law.L) if model is None else model
+        if model is None:
+            return []
         region = response_of(model, GRID / law.Ts)
-    count = 0 if region is None else len(region.models)
-    return [partial(region.anywhere, k) for k in range(count)]
+    return [partial(region.anywhere, k) for k in range(len(region.models))]
 
 
 def model_in(L) -> control.StateSpace | None:
