@@ -86,10 +86,10 @@ def dataset(
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
     }
-    names_by_role = dict(zip(ROLES, (outputs, controls, sources, sensors), strict=True))
+    of_role = {"output": outputs, "control": controls, "source": sources, "sensor": sensors}
     variables = {}
     for signal, role in (SIGNALS | {"e": "output"}).items():
-        names = [*names_by_role[role]]
+        names = [*of_role[role]]
         if names and signal in signals:
             dimension = role if role in ("source", "sensor") else "channel"
             labels = [units.get(name, "") for name in names]

@@ -288,15 +288,13 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     e, size, last = trials.e.values, rms_of(trials.e).values, len(trials.e) - 1
     if last < 2:  # noise is known from two changes on
         return {}
-    changes, expected = np.diff(e, axis=0), -np.diff(trials.effect.values, axis=0)
-    came, noise, freedom = unexplained(changes, expected)
-    noise = noise + (ROUNDED_ERROR * np.abs(e[last]).max()) ** 2
+    expected = -np.diff(trials.effect.values, axis=0)
+    came, noise, freedom = unexplained(np.diff(e, axis=0), expected)
     wrong = plant_error(law)
     for before, k in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
         errors = errors_by_octave(law, sigma, trials, before, k)
-        excess = errors["excess"]
-        p = chance_of_excess(excess / (k - before), noise, freedom, last)
-        significant = excess * (p < SIGNIFICANCE)
+        p = chance_of_excess(errors["excess"] / (k - before), noise, freedom, last)
+        significant = errors["excess"] * (p < SIGNIFICANCE)
         worst = significant.argmax()
         if significant[worst] > EXCESS * size[0]:
             channel = np.abs(came[worst] - 1).argmax()

@@ -18,7 +18,6 @@ from ilctools import (
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
-ZERO = np.zeros((50, 2))
 L = LearningFilter(0.4 * np.eye(2)[..., None] * [0, 0, 1], 1.0)
 
 
@@ -58,16 +57,3 @@ def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, rest):
     T, size = trial_map(loop.P, Q, L, 120, rest), np.abs(steps).max()
     for before, after in pairwise(steps):
         np.testing.assert_allclose(T.matvec(before), after, atol=1e-9 * size)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),
-        ({"initial_state": np.zeros(13)}, r"initial_state has shape \(13,\)"),
-        ({"v": np.zeros((2, 50, 2))}, r"v has shape \(2, 50, 2\)"),
-    ],
-)
-def test_bad_arguments_are_refused(loop, Q, changes, message):
-    with pytest.raises(ValueError, match=message):
-        run_trials(**{"loop": loop, "law": Law(Q, L), "reference": ZERO, "trials": 2} | changes)
