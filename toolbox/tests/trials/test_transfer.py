@@ -129,6 +129,16 @@ def test_it_takes_logs_parts_of_them_and_references_of_any_length(tmp_path):
     assert not transfer(still, NEW).v.any()
 
 
+def test_a_disturbance_that_came_in_between_is_reported():
+    came = np.zeros((8, 200, 2))
+    came[4:] = steps(200, (0.3, 0.1, 0.2, 2.0), (0.2, 0.3, 0.1, -3.0))
+    done = trials_of(ClosedLoop(coupled()[0]), 1.0, 8, noise=came)
+    with pytest.warns(UserWarning, match="another disturbance came") as seen:
+        transfer(done, NEW)
+    assert seen[0].filename == __file__
+    assert transfer(done.isel(trial=slice(4, None)), NEW).predicted.min() > 0.9
+
+
 def test_units_do_not_matter():
     v, scale = np.random.default_rng(0).standard_normal((200, 2)), np.array([1e3, 1e-4])
     run = run_trials(ClosedLoop(coupled()[0]), Law(Q, None), OLD, trials=1, v=v)
