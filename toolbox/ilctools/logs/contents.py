@@ -1,7 +1,5 @@
 """Text in the encoding that a reader takes; the error for any other file says what to do."""
 
-import codecs
-import reprlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -12,15 +10,8 @@ from ilctools.errors import LogError
 def text_in(encoding: str, remedy: str) -> Iterator[None]:
     """While a text file is read: a LogError if its bytes are none in this encoding."""
     try:
-        codecs.lookup(encoding)
-    except (LookupError, TypeError):
-        raise ValueError(
-            f"encoding = {reprlib.repr(encoding)} must be one that Python knows, such as 'utf-8', "
-            "'cp1252' or 'utf-16'"
-        ) from None
-    try:
         yield
-    except UnicodeError as error:
+    except (UnicodeError, LookupError) as error:  # the latter of an encoding that is unknown
         raise LogError(
             f"it is not {encoding.upper()} ({error}): {remedy}. Of a workbook (.xlsx, .xls, .ods) "
             "export the sheet as CSV, or pass read_table the DataFrame that pandas.read_excel "
