@@ -148,10 +148,9 @@ def labelled_as(value, signal, names):
     own = names_of(value)
     if own is None:
         return signal.reshape(np.shape(value))
-    signal = signal[..., [names.index(label) for label in own]]
-    if hasattr(value, "columns"):
-        return type(value)(signal, value.index, value.columns)
-    return value.copy(data=signal.reshape(value.shape))
+    labelled = value.astype(float)
+    labelled[:] = signal[..., _order("v", names, own)].reshape(value.shape)
+    return labelled
 
 
 def check_times(name: str, times, Ts: float) -> None:
@@ -209,11 +208,6 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
     for any number of axes. `dtype` is float or complex. True among numbers counts as 1.
     """
-    if type(value) in (float, np.ndarray):  # as in every sample of an experiment: no detour
-        plain = np.array(value)
-        usual = plain.dtype == dtype and plain.shape == tuple(shape)
-        if usual and np.isfinite(plain).all():
-            return plain
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
@@ -241,23 +235,14 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
 def _check_shape(name, sizes, shape):
     """Refuse an array of another shape."""
     wanted = [size for size in shape if size is not Ellipsis]
-    free = (
-        len(sizes) - len(wanted) if len(wanted) < len(shape) else 0
-    )  # axes that may have any size
-    if _fits(sizes[free:], wanted):
+    has = sizes[len(sizes) - len(wanted) :] if wanted != [*shape] else sizes
+    named = dict(zip(wanted, has, strict=False))  # of sizes with one name, the last
+    expected = [max(1, named.get(size, 1)) if isinstance(size, str) else size for size in wanted]
+    if [*has] == expected:
         return
     words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
     words += "," if len(shape) == 1 else ""
     raise ValueError(f"{name} has shape {sizes}, but must have shape ({words})")
-
-
-def _fits(sizes, wanted):
-    """Whether an array has the sizes wanted; those with the same name are equal."""
-    named = {}
-    return len(sizes) == len(wanted) and all(
-        have > 0 and have == named.setdefault(want, have) if isinstance(want, str) else have == want
-        for want, have in zip(wanted, sizes, strict=True)
-    )
 
 
 def representable(name: str, values, remedy: str) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 # what a note may lead to
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
-LONGEST = 1000  # letters of a message
+LONGEST_MESSAGE = 1000  # letters of a message
 
 
 class InfeasibleError(ValueError):
@@ -66,7 +66,7 @@ class LogError(ValueError):
 
 def shortened(message: str) -> str:
     """A message without its middle, if that is long: what it quotes may be a whole file."""
-    return message if len(message) <= LONGEST else f"{message[:600]} ... {message[-300:]}"
+    return message if len(message) <= LONGEST_MESSAGE else f"{message[:600]} ... {message[-300:]}"
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-WORDS = {
+FINDINGS = {
     # what fails
     "gap": "relative duality gap {value:.1e} > {limit:g}",
     "on the grid": "{claim.what}{place} = {value:.12g}, above {claim} on the grid",
@@ -50,7 +50,7 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """A value beyond its limit; `code` is a key of WORDS."""
+    """A value beyond its limit; `code` is a key of FINDINGS."""
 
     code: str
     value: float
@@ -60,4 +60,4 @@ class Finding:
     claim: Any = None  # the bound that it is about, with its name and what is bounded
 
     def __str__(self):
-        return WORDS[self.code].format(**vars(self))
+        return FINDINGS[self.code].format(**vars(self))

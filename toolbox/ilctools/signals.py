@@ -13,6 +13,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 
+TRIAL_AXES = ("trial", "time", "channel")  # of outputs and controls
 # Of trials, in their order in a log, and the role of their channels. v is of inputs where it is not
 # added to references, one for each output.
 SIGNALS = {
@@ -94,15 +95,16 @@ def dataset(
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, p + 1),
     }
-    variables, role_of = {}, roles_of(bool(learned)) | {"e": "output"}
-    for role, names in zip(ROLES, (outputs, controls, sources, sensors, learned), strict=True):
-        dimension = "channel" if role in ("output", "control") else role
-        labels = [units.get(name, "") for name in names]
-        for name in role_of:
-            if role_of[name] == role and name in signals and len(names):
-                coordinates |= {role: (dimension, [*names]), f"{role}_unit": (dimension, labels)}
-                attributes = {"units": ", ".join(dict.fromkeys(labels))}
-                variables[name] = (("trial", "time", dimension), signals[name], attributes)
+    of_role = dict(zip(ROLES, (outputs, controls, sources, sensors, learned), strict=True))
+    variables = {}
+    for signal, role in (roles_of(bool(learned)) | {"e": "output"}).items():
+        names = [*of_role[role]]
+        if names and signal in signals:
+            dimension = "channel" if role in ("output", "control") else role
+            labels = [units.get(name, "") for name in names]
+            coordinates |= {role: (dimension, names), f"{role}_unit": (dimension, labels)}
+            attributes = {"units": ", ".join(dict.fromkeys(labels))}
+            variables[signal] = ("trial", "time", dimension), signals[signal], attributes
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 

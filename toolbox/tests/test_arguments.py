@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from hypothesis import given
@@ -60,6 +61,12 @@ def test_an_array_is_a_copy_of_the_type_asked_for():
     assert arguments.array("x", given_, (3,), complex).dtype == complex
     unmasked = np.ma.masked_array([1.0], [False])
     assert type(arguments.array("x", unmasked, (1,))) is np.ndarray
+
+
+def test_a_signal_gets_the_labels_of_another_in_their_order():
+    frame = pd.DataFrame(np.zeros((2, 3), int), columns=["b", "c", "a"])
+    labelled = arguments.labelled_as(frame, np.array([[0.1, 0.2, 0.3]] * 2), ["a", "b", "c"])
+    assert labelled.to_dict("list") == {"b": [0.2] * 2, "c": [0.3] * 2, "a": [0.1] * 2}
 
 
 def test_what_is_at_a_limit_passes():

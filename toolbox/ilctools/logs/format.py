@@ -20,8 +20,8 @@ from ilctools.law.notes import is_newer
 from ilctools.signals import SIGNALS, period_of, roles_of
 
 # the second where the note of L `is_newer`, the third where v is of inputs
-FORMATS = ("rodlib trial log 2", "rodlib trial log 3", "rodlib trial log 4")
-KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
+LOG_FORMATS = ("rodlib trial log 2", "rodlib trial log 3", "rodlib trial log 4")
+RESERVED_KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
 
 _message = Repr()
@@ -67,7 +67,7 @@ def save_log(trials: xr.Dataset, path) -> None:
     """
     path = arguments.path("path", path)
     arguments.instance("trials", trials, xr.Dataset)
-    keep_others(path, f"# format: {FORMATS[0][:-1]}")
+    keep_others(path, f"# format: {LOG_FORMATS[0][:-1]}")
     write_log(trials, path)
 
 
@@ -76,7 +76,7 @@ def write_log(trials: xr.Dataset, path) -> None:
     signals, Ts = signals_of(trials), period_of(trials)
     format_number = 2 if "inputs" in signals else is_newer(str(trials.attrs.get("L")))
     metadata = {
-        "format": FORMATS[format_number],
+        "format": LOG_FORMATS[format_number],
         "Ts": f"{Ts!r} s",
         "signals": json.dumps(signals, ensure_ascii=False),
         **_free_metadata(trials.attrs),
@@ -170,7 +170,7 @@ def _free_metadata(attributes):
     for key, value in attributes.items():
         if key == "Ts":
             continue
-        if key in KEYS or not re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", str(key)):
+        if key in RESERVED_KEYS or not re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", str(key)):
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         default = lambda part: np.asarray(part).tolist()  # noqa: E731

@@ -17,7 +17,7 @@ from ilctools.errors import LogError, reading, shortened
 from ilctools.files import regular
 from ilctools.logs.clock import check_trials, seconds
 from ilctools.logs.contents import text_in
-from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
+from ilctools.logs.format import LOG_FORMATS, RESERVED_KEYS, check_signals, columns_of, few
 from ilctools.signals import dataset
 from ilctools.warn import warn
 
@@ -45,7 +45,7 @@ def load_log(path) -> xr.Dataset:
     ------
     LogError
         The first thing that is wrong, with its metadata or its row: 0 is the first one below the
-        titles. A workbook of a spreadsheet program and text that is not UTF-8 are named as such.
+        titles. For a file that is no text in UTF-8, the error says what to do.
 
     Warns
     -----
@@ -81,14 +81,14 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
         # a line that is whole has a line feed
         file = regular(path)
         remedy = "a program that opened the log may have saved it anew. Save it as UTF-8"
-        with text_in(file, None, remedy):
+        with text_in("utf-8", remedy):
             *lines, torn = file.read_text(encoding="utf-8-sig").split("\n")
         metadata = _metadata(lines)
-        if metadata.get("format") not in FORMATS:
+        if metadata.get("format") not in LOG_FORMATS:
             raise LogError(
-                f"metadata: format is {few(metadata.get('format'))}, but must be one of {FORMATS}: "
-                "ilctools.read_table reads other tables, of which save_log makes logs, and "
-                "ilctools.load_law laws"
+                f"metadata: format is {few(metadata.get('format'))}, but must be one of "
+                f"{LOG_FORMATS}: ilctools.read_table reads other tables, of which save_log makes "
+                "logs, and ilctools.load_law laws"
             )
         Ts, second = _period(metadata)
         with reading("signals"):
@@ -108,7 +108,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
             table = table[number != counts.index[-1]]
         elif torn.strip() and not ended:
             warn(f"{path}: the last line has no line feed, and is left out")
-        notes = {key: value for key, value in metadata.items() if key not in KEYS}
+        notes = {key: value for key, value in metadata.items() if key not in RESERVED_KEYS}
         return trials_of(table, signals, Ts, notes)
 
 

@@ -26,8 +26,8 @@ from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
 from ilctools.warn import warn
 
+UNSTABLE_POLE = 1 + 1e-9  # its modulus; an integrator's is one up to rounding
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
-UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
 
 
 @dataclass(frozen=True)
@@ -95,17 +95,16 @@ class Replay:
 
         None of an unstable model; an integrator counts as stable.
         """
-        if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE:
+        if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE_POLE:
             return None
         if self.loop.asked(self.trials) is None:
             return None
-        actuators = self.law and self.law.actuators
         known = self.trials.assign(disturbance=(("trial", "time", "known"), self.disturbance))
         outputs = []
         for part in from_rest_to_rest(known):
             applied = part.get("applied", self.loop.asked(part))
-            if actuators is not None:
-                applied = actuators.follow(applied)
+            if self.law and self.law.actuators:
+                applied = self.law.actuators.follow(applied)
             inputs = np.hstack([applied, part["disturbance"]]).T[: self.model.ninputs]
             outputs.append(control.forced_response(self.model, inputs=inputs, squeeze=False).y.T)
         return np.reshape(outputs, known.y.shape)

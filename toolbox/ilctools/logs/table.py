@@ -21,7 +21,7 @@ SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
 # of a clock's title, "t_ms", with either mu
-ENDING = re.compile(
+ENDING_IN_UNIT = re.compile(
     r"(?i)(?:\b|_)((?:[nuµ\u03bcm]|milli|micro)?s(?:ec(?:ond)?s?)?|min(?:ute)?|hr?|hour|day)s?\s*$"
 )
 
@@ -88,8 +88,8 @@ def read_table(
     ------
     LogError
         The first thing that is wrong with the table, with its column, and its row as pandas counts
-        them: 0 is the first one below the titles. A workbook of a spreadsheet program and text in
-        an encoding other than `encoding`, by default UTF-8, are named as such.
+        them: 0 is the first one below the titles. For a file that is no text in `encoding`, by
+        default UTF-8, such as a workbook, the error says what to do.
 
     See Also
     --------
@@ -124,10 +124,9 @@ def read_table(
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
     given = isinstance(path, pd.DataFrame)
-    source = "path" if given else arguments.path("path", path)
-    notes = {} if given else {"origin": f"read from {source.name}"}
-    with about(source):
-        frame = pd.DataFrame(path, **options) if given else _frame_of(regular(source), options)
+    source = path if given else arguments.path("path", path)
+    with about("path" if given else source):
+        frame, notes = _frame_of(source, options)
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         Ts = arguments.sampling_period("Ts", Ts or mean_step(table))
@@ -143,11 +142,14 @@ def _asked(**columns):
     }
 
 
-def _frame_of(file, options):
-    """What pandas reads of a text file."""
-    remedy = "pass read_table(..., encoding={encoding!r})"
-    with text_in(file, options.get("encoding"), remedy):
-        return pd.read_csv(file, **OPTIONS | options)
+def _frame_of(source, options):
+    """What pandas reads of a text file, or has read, and a note on where it is from."""
+    if isinstance(source, pd.DataFrame):
+        return pd.DataFrame(source, **options), {}
+    remedy = "pass read_table(..., encoding='cp1252'), or what else it is in, such as 'utf-16'"
+    with text_in(options.get("encoding") or "utf-8", remedy):
+        frame = pd.read_csv(regular(source), **OPTIONS | options)
+    return frame, {"origin": f"read from {source.name}"}
 
 
 def _signals(frame, asked, units):
@@ -191,7 +193,7 @@ def _clock(frame, trial, time, unit, Ts):
     if time is None:
         return number, Ts * number.groupby(number).cumcount()
     column, titled = _column(frame, "time", time)
-    ending = ENDING.search(str(column.name))
+    ending = ENDING_IN_UNIT.search(str(column.name))
     unit = unit or titled or (ending[1].lower() if ending else "s")
     if column.dtype.kind == "M":  # dates
         column, unit = (column - column.iloc[0]).dt.total_seconds(), "s"

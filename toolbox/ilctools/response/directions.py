@@ -5,7 +5,8 @@ If U' P V holds all of P, with orthonormal columns in U and V,
     P = U (U' P V) V',
 
 then the error in the directions beside U stays, whatever v is, and v beside V moves nothing. So a
-filter L for U' P V is one for P, V L U', with the same M among the directions that are left.
+filter L for U' P V is one for P, V L U', with the same M among the directions that are left. On the
+side that has more channels M is not, and nothing is left out.
 """
 
 from dataclasses import dataclass
@@ -29,8 +30,8 @@ class Directions:
         """Those of plants by their responses, (plants, n, p, m); None if P passes all."""
         p, m = responses.shape[2:]
         parts = np.concatenate([responses.real, responses.imag]).reshape(-1, p, m)
-        U = _spanned(np.moveaxis(parts, 1, 0).reshape(p, -1))
-        V = _spanned(np.moveaxis(parts, 2, 0).reshape(m, -1))
+        U = _spanned(np.moveaxis(parts, 1, 0).reshape(p, -1)) if p <= m else np.eye(p)
+        V = _spanned(np.moveaxis(parts, 2, 0).reshape(m, -1)) if m <= p else np.eye(m)
         full = (U.shape[1], V.shape[1]) == (p, m)
         return None if full or not U.size else cls(U, V)
 

@@ -24,7 +24,6 @@ An output is dead if it stands still in a trial in which P moves it.
 
 from collections.abc import Callable
 from functools import partial
-from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -35,23 +34,29 @@ from ilctools.base import RegularisedInverse
 from ilctools.evidence.robustness import within_radius
 from ilctools.law.law import Law
 from ilctools.models import frequency_response
-from ilctools.response.door import response_of
+from ilctools.response.door import in_own_units, response_of
+from ilctools.signals import TRIAL_AXES
 from ilctools.trials.learn import applied_v
 from ilctools.trials.parts import from_rest_to_rest, successions
-from ilctools.trials.rms import harmonics, noise_std, octaves, rms_by_octave, rms_of
+from ilctools.trials.rms import (
+    SMALLEST_DIVISOR,
+    harmonics,
+    noise_std,
+    octaves,
+    rms_by_octave,
+    rms_of,
+)
 from ilctools.units import by_unit
 
 SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
-GROWTH = 1.5  # ratio of RMS errors that is worth a warning,
+NOTABLE_GROWTH = 1.5  # ratio of RMS errors that is worth a warning,
 RISES = 3  # if it rose so many times in succession,
 JUMP = 3.0  # or at once, relative to the largest before: one new disturbance is no divergence
 AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
 PLANT_ERROR = 0.5  # of a P that the law alone has, relative to it, that is no news
 STILL = 0.05  # movement of an output that P predicts, relative to the reference's, that must show
-ROUNDING = 1e-9  # relative to the largest signal
-TINY = np.finfo(float).tiny  # instead of a zero that divides
-AXES = ("trial", "time", "channel")
+ROUNDED_ERROR = 1e-9  # relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
@@ -87,21 +92,17 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
             found["model"] = {} if found["dead"] else _first_finding(differs, with_P, first)
             if not (found["dead"] or found["model"]):
                 break
-    return {kind: WORDS[kind].format(**values) for kind, values in found.items() if values}
+    return {kind: WARNINGS[kind].format(**values) for kind, values in found.items() if values}
 
 
 def _first_finding(test, trials, first):
     """What a test first finds of trials in succession, in the outputs of one unit, as numbers."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
-    begins = [(k, since) for k, since in enumerate(successions(trials)) if k >= first - 1]
     for channels in groups:
         alike = trials.isel(channel=channels)
-        signals = {name: x.values for name, x in alike.variables.items() if "trial" in x.dims}
-        signals["rms"], names = rms_of(alike.e).values, alike.output.values
-        for k, since in begins:
-            now = {name: x[since : k + 1] for name, x in signals.items()}
-            if values := test(SimpleNamespace(**now, output=names)):
-                where = f"{', '.join(names)}: " if len(groups) > 1 else ""
+        where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
+        for k, since in enumerate(successions(trials)):
+            if k >= first - 1 and (values := test(alike.isel(trial=slice(since, k + 1)))):
                 return {"where": where} | values
     return {}
 
@@ -114,19 +115,20 @@ def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
     return trials[["e", "reference"]].assign(forgotten=(axes, forgotten), learned=(axes, learned))
 
 
-def error_grows(trials: SimpleNamespace) -> dict:
+def error_grows(trials: xr.Dataset) -> dict:
     """Null hypothesis: errors of trials with one reference are noise of one variance.
 
     It is tested where the error rose several times in succession up to the last trial, or to a
     multiple at once.
     """
-    begin = first_judged(trials)
-    e, size = trials.e[begin:], trials.rms[begin:]
+    largest = np.abs(trials.reference.values).max()
+    trials = trials.isel(trial=slice(first_judged(trials), None))
+    e, size = trials.e.values, rms_of(trials.e).values
     if len(size) < 2:
         return {}
-    size = np.maximum(size, ROUNDING * max(np.abs(trials.reference).max(), *size))
+    size = np.maximum(size, ROUNDED_ERROR * max(largest, *size))
     before = np.append(-1, np.flatnonzero(np.diff(size) <= 0))[-1] + 1  # since when it rises
-    rises, least = len(size) - 1 - before, GROWTH
+    rises, least = len(size) - 1 - before, NOTABLE_GROWTH
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
     growth, noise = size[-1] / size[before], np.linalg.norm(noise_std(e[0]))
@@ -134,16 +136,17 @@ def error_grows(trials: SimpleNamespace) -> dict:
     by_chance = chance(growth, freedom, rises + 1) >= SIGNIFICANCE
     if by_chance or growth < least or size[-1] < AMPLIFICATION * noise:
         return {}
-    return {"trials": trials.trial[[begin + before, -1]], "rms": size[[before, -1]]}
+    return {"trials": trials.trial.values[[before, -1]], "rms": size[[before, -1]]}
 
 
-def first_judged(trials: SimpleNamespace) -> int:
+def first_judged(trials: xr.Dataset) -> int:
     """The first trial with a v that Q does not forget, as it forgets that of another law or task.
 
     With e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
     """
-    taken, added = (np.sum(x**2, axis=(1, 2)) for x in (trials.forgotten, trials.learned))
-    return np.append(taken > GROWTH**2 * added, False).argmin()
+    signals = (trials[name].values for name in ("forgotten", "learned"))
+    taken, added = (np.sum(x**2, axis=(1, 2)) for x in signals)
+    return np.append(taken > NOTABLE_GROWTH**2 * added, False).argmin()
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
@@ -171,7 +174,7 @@ def known_plants(law: Law) -> list[Callable]:
         region.radius is None and not region.sampled and len(region.models) == 1
     )
     if alone and model is not None:
-        region = response_of(model, GRID / law.Ts)
+        region = in_own_units(response_of(model, GRID / law.Ts))
     count = 0 if region is None else len(region.models)
     return [partial(region.anywhere, k) for k in range(count)]
 
@@ -187,7 +190,7 @@ def model_in(L) -> control.StateSpace | None:
     if not isinstance(B, RegularisedInverse):
         return P
     mean = B.scale_y[:, None] * B.E.T
-    model = control.ss(P.A, P.B / B.scale, mean @ P.C, mean @ P.D / B.scale, P.dt)
+    model = mean * P * np.diag(1 / B.scale)
     if model.ninputs != model.noutputs:
         return model
     coupling = frequency_response(model, GRID / P.dt) * (1 - np.eye(P.ninputs))
@@ -222,25 +225,26 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     spread = through(radius[:, None, None] * np.eye(v.shape[2]), v)
     free = trials.e.values + effect
     return trials[["e", "reference", "y"]].assign(
-        effect=(AXES, effect),
-        moves=(AXES, moves),
-        kept=(AXES, free - law.Q.apply(free)),  # (1 - Q) e_free
+        effect=(TRIAL_AXES, effect),
+        moves=(TRIAL_AXES, moves),
+        kept=(TRIAL_AXES, free - law.Q.apply(free)),  # (1 - Q) e_free
         spread=(("trial", "time", "learned"), spread),
     )
 
 
-def dead_outputs(trials: SimpleNamespace) -> dict:
+def dead_outputs(trials: xr.Dataset) -> dict:
     """Outputs that stand still in the last trial, in which P moves them.
 
     A movement is the highest value less the lowest one. It counts if it is more than STILL of the
     reference's: a coarse sensor that shows no less movement within its resolution is not dead.
     """
-    y, wanted, moves = (np.ptp(x[-1], axis=0) for x in (trials.y, trials.reference, trials.moves))
+    last = trials.isel(trial=-1)
+    y, wanted, moves = (np.ptp(last[name].values, axis=0) for name in ("y", "reference", "moves"))
     dead = (y == 0) & (wanted > 0) & (moves > STILL * wanted)
     if not dead.any():
         return {}
-    outputs = ", ".join(trials.output[dead])
-    return {"trial": trials.trial[-1], "outputs": outputs, "moves": moves[dead].max()}
+    outputs = ", ".join(last.output.values[dead])
+    return {"trial": last.trial.item(), "outputs": outputs, "moves": moves[dead].max()}
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
@@ -251,18 +255,18 @@ def largest_M(law: Law, P: Callable) -> np.ndarray:
     return within_radius(response, Q, L, radius, 0)
 
 
-def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: int) -> dict:
+def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -> dict:
     """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
 
     `predicted` follows from (2), ends included, with the error that P may have; `bound` is that, or
     sigma_max(M) and what Q leaves, by (1), if it is more; `measured` is the error of trial k.
     `excess` is the RMS by which it exceeds the bound.
     """
-    e, kept, first = trials.e, trials.kept, octaves(trials.e.shape[1])
+    e, kept, first = trials.e.values, trials.kept.values, octaves(trials.e.shape[1])
     frequency = first * 2 * np.pi / e.shape[1]  # times Ts
     sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, frequency))
-    size = np.maximum(rms_by_octave(e[before]), TINY)
-    change, spread = (x[k] - x[before] for x in (trials.effect, trials.spread))
+    size = np.maximum(rms_by_octave(e[before]), SMALLEST_DIVISOR)
+    change, spread = (x[k] - x[before] for x in (trials.effect.values, trials.spread.values))
     uncertain = rms_by_octave(spread) + plant_error(law) * rms_by_octave(change)
     promised = (rms_by_octave(e[before] - change) + uncertain) / size  # (2)
     bound = 1 - law.gain + law.gain * (sigma + rms_by_octave(kept[before]) / size)  # (1)
@@ -278,7 +282,7 @@ def errors_by_octave(law: Law, sigma, trials: SimpleNamespace, before: int, k: i
     }
 
 
-def plant_differs(law: Law, sigma, trials: SimpleNamespace) -> dict:
+def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     """F test, octave by octave, of errors against what an earlier one promises.
 
     The last trial is compared with the one before and with the best so far, and the second one with
@@ -286,25 +290,23 @@ def plant_differs(law: Law, sigma, trials: SimpleNamespace) -> dict:
     prediction by noise alone, independent from trial to trial, by less than the promise allows, or
     by a disturbance that grows from trial to trial, by as much in each.
     """
-    e, size, last = trials.e, trials.rms, len(trials.e) - 1
+    e, size, last = trials.e.values, rms_of(trials.e).values, len(trials.e) - 1
     if last < 2:  # noise is known from two changes on
         return {}
-    changes, expected = np.diff(e, axis=0), -np.diff(trials.effect, axis=0)
-    came, noise, freedom = unexplained(changes, expected)
-    noise = noise + (ROUNDING * np.abs(e[last]).max()) ** 2
+    expected = -np.diff(trials.effect.values, axis=0)
+    came, noise, freedom = unexplained(np.diff(e, axis=0), expected)
     wrong = plant_error(law)
     for before, k in ((last - 1, last), (size[:last].argmin(), last), (0, 1)):
         errors = errors_by_octave(law, sigma, trials, before, k)
-        excess = errors["excess"]
-        p = chance_of_excess(excess / (k - before), noise, freedom, last)
-        significant = excess * (p < SIGNIFICANCE)
+        p = chance_of_excess(errors["excess"] / (k - before), noise, freedom, last)
+        significant = errors["excess"] * (p < SIGNIFICANCE)
         worst = significant.argmax()
         if significant[worst] > EXCESS * size[0]:
             channel = np.abs(came[worst] - 1).argmax()
             return {
-                "trials": trials.trial[[before, k]],
+                "trials": trials.trial.values[[before, k]],
                 "came": came[worst, channel],
-                "output": trials.output[channel],
+                "output": trials.output.values[channel],
                 "even": f", even if P is wrong by {wrong:.0%}" if wrong else "",
                 **{name: values[worst] for name, values in errors.items()},
             }
@@ -319,7 +321,7 @@ def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     first, Y, X = octaves(changes.shape[1]), harmonics(changes), harmonics(expected)
     XY, XX = (np.add.reduceat(np.sum(X.conj() * Z, axis=0), first) for Z in (Y, X))
-    gain = XY / np.maximum(XX.real, TINY)
+    gain = XY / np.maximum(XX.real, SMALLEST_DIVISOR)
     remainder = Y - np.repeat(gain, np.diff(first, append=Y.shape[1]), axis=0) * X
     power = np.mean(np.abs(remainder) ** 2, axis=0)
     return gain.real, np.add.reduceat(power.sum(axis=1), first), degrees_of_freedom(power, first)
@@ -328,7 +330,7 @@ def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def degrees_of_freedom(power, first=(0,)) -> np.ndarray:
     """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
     total, squares = (np.add.reduceat(values.sum(axis=1), first) for values in (power, power**2))
-    return np.maximum(2, 2 * total**2 / np.maximum(squares, TINY))
+    return np.maximum(2, 2 * total**2 / np.maximum(squares, SMALLEST_DIVISOR))
 
 
 def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
@@ -343,7 +345,7 @@ def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
     return len(excess) * fdtrc(freedom, others, F)
 
 
-WORDS = {
+WARNINGS = {
     "growth": (
         "{where}the error grows, by more than noise explains: its RMS was {rms[0]:.3g} in trial "
         "{trials[0]} and is {rms[1]:.3g} in trial {trials[1]}. Unless there was a new disturbance, "

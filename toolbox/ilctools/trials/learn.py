@@ -79,11 +79,8 @@ def applied_v(law: Law, signals: Part) -> np.ndarray:
 
 def _last(parts, samples):
     """The last parts, as many as have so many samples."""
-    count, done = 0, 0
-    while count < len(parts) and done < samples:
-        count += 1
-        done += len(parts[-count]["v"])
-    return parts[-count:]
+    done = np.cumsum([len(part["v"]) for part in reversed(parts)])
+    return parts[-1 - np.searchsorted(done, samples) :]
 
 
 def joined(parts: Sequence[Part], join: Callable = np.concatenate) -> Part:

@@ -5,6 +5,8 @@ import xarray as xr
 
 from ilctools import arguments
 
+SMALLEST_DIVISOR = np.finfo(float).tiny  # instead of a zero
+
 
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     """RMS of the error of each trial: root of the mean over time of e'e, summed over channels.

@@ -9,7 +9,7 @@ from ilctools.loop.closed import Loop
 from ilctools.trials.rms import noise_std
 from ilctools.units import by_unit, with_unit
 
-NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
+NEAR_START = 0.02  # of the largest reference in the same unit, that a start may be off
 SURE = 5.0  # standard deviations of the noise, likewise
 
 
@@ -25,7 +25,7 @@ class Start:
     def of(cls, y, reference, loop: Loop) -> "Start":
         """That of the first trial, from its outputs and its reference, shape (time, output)."""
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
-        tolerance = NEAR * largest_by_unit(reference, loop) + noise
+        tolerance = NEAR_START * largest_by_unit(reference, loop) + noise
         labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
         return cls(y[0], tolerance, labels)
 

@@ -33,21 +33,20 @@ from scipy.signal import oaconvolve
 
 from ilctools import arguments
 from ilctools.law.notes import RESET
-from ilctools.signals import Signals, check_match, period_of
+from ilctools.signals import TRIAL_AXES, Signals, check_match, period_of
+from ilctools.trials.rms import SMALLEST_DIVISOR
 from ilctools.warn import warn
 
-GROWTH = 1.5  # from one lag of F to the next: fewer taps, a smoother F
+LAG_RATIO = 1.5  # from one lag of F to the next: fewer taps, a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
 WEIGHTS = 10.0 ** np.arange(-10, 1)  # candidates for lambda, in mean squares of the regressors
-STATIC = 1e6  # of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
+STATIC_WEIGHT = 1e6  # of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
 PENALTY = 2.0  # unless F(0) /= 0 makes each trial so many times as likely
 RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
-TINY = np.finfo(float).tiny  # instead of a zero that divides
 ROUNDED_POWER = 1e-14  # of the power, below which residuals are rounding
 PREDICTED = 0.9  # share of v + e with less of which a warning comes
 UNCERTAIN = 0.2  # share of v that may be uncertain without one
-AXES = ("trial", "time", "channel")
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,13 +144,13 @@ def _signals(trials):
                 "added to references, one for each output"
             )
         if RESET in task.attrs or not all(
-            name in task and {*task[name].dims} == {*AXES} for name in signals
+            name in task and {*task[name].dims} == {*TRIAL_AXES} for name in signals
         ):
             raise ValueError(
                 f"trials lack one of {[*signals]}, its axes, or a reset before each: see run_trials"
             )
         periods[f"trials[{len(tasks)}]"] = Signals(period_of(task))
-        tasks.append(task.transpose(*AXES, ...))
+        tasks.append(task.transpose(*TRIAL_AXES, ...))
     check_match(**periods)
     y = tasks[0].y
     outputs = arguments.names_of(y) or y.channel.values.tolist()
@@ -187,7 +186,7 @@ def _basis(reach):
     """Taps of F, shape (lags, taps): slopes between lag 0 and others, and lag 0 by itself."""
     knots = [0, 1]
     while knots[-1] < reach:
-        knots.append(min(reach, round(GROWTH * knots[-1])))
+        knots.append(min(reach, round(LAG_RATIO * knots[-1])))
     knots = np.append(-np.array(knots)[:0:-1], knots)
     middle = len(knots) // 2
     hats = make_interp_spline(knots, np.eye(len(knots)), k=1)(np.arange(-reach, reach + 1))
@@ -227,7 +226,7 @@ class _Fits:
 
     def likeliest(self, ratios):
         """f by the likeliest weights of each output, shape (p, m), and f without each block."""
-        candidates = [*product(ratios, (1.0, STATIC), WEIGHTS)]
+        candidates = [*product(ratios, (1.0, STATIC_WEIGHT), WEIGHTS)]
         best = np.argmax([self.likelihood(*weights) for weights in candidates], axis=0)
         fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
         f, *without = np.stack(fits, axis=-1)
@@ -264,7 +263,9 @@ class _Fits:
         missed, power = self.squares(without), self.squares(no_F)
         rho = np.ones(self.m)
         if self.K > 1:
-            rho = np.minimum(1.0, missed[0] / (self.K - 1) / np.maximum(missed[1], TINY))
+            rho = np.minimum(
+                1.0, missed[0] / (self.K - 1) / np.maximum(missed[1], SMALLEST_DIVISOR)
+            )
         missed, power = (squares[0] + rho * squares[1] for squares in (missed, power))
         return rho, 1 - np.divide(missed, power, out=np.zeros(self.m), where=power > 0)
 

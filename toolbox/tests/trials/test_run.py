@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import xarray as xr
 from plants import random_plant
 from written_out import another, mixed, simulated
 
@@ -17,10 +16,8 @@ from ilctools import (
     trial_map,
     zero_phase_butterworth,
 )
-from ilctools.trials.rms import rms
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
-ZERO = np.zeros((50, 2))
 L = LearningFilter(0.4 * np.eye(2)[..., None] * [0, 0, 1], 1.0)
 
 
@@ -50,15 +47,6 @@ def test_trials_are_those_of_the_law_and_the_loop_written_out(other, learning):
             v[55:] = 0
 
 
-def test_rms_is_the_papers_definition():
-    e = np.random.default_rng(2).standard_normal((1, 50, 2))
-    expected = np.sqrt(sum(e[0, p] @ e[0, p] for p in range(50)) / 50)
-    labelled = xr.DataArray(e, dims=("trial", "time", "channel"))
-    assert rms(labelled).item() == pytest.approx(expected)
-    log = xr.Dataset({"reference": 2 * labelled[0], "y": labelled})
-    assert rms(log).item() == rms(labelled).item()
-
-
 @pytest.mark.parametrize("rest", [0, 15])
 def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, rest):
     """v_{k+1} - v_k follows T of the certificate, which knows nothing of trials."""
@@ -69,16 +57,3 @@ def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, rest):
     T, size = trial_map(loop.P, Q, L, 120, rest), np.abs(steps).max()
     for before, after in pairwise(steps):
         np.testing.assert_allclose(T.matvec(before), after, atol=1e-9 * size)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),
-        ({"initial_state": np.zeros(13)}, r"initial_state has shape \(13,\)"),
-        ({"v": np.zeros((2, 50, 2))}, r"v has shape \(2, 50, 2\)"),
-    ],
-)
-def test_bad_arguments_are_refused(loop, Q, changes, message):
-    with pytest.raises(ValueError, match=message):
-        run_trials(**{"loop": loop, "law": Law(Q, L), "reference": ZERO, "trials": 2} | changes)

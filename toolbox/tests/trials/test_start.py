@@ -13,6 +13,20 @@ from ilctools import Law, current_trial_loop, record, zero_phase_butterworth
 from ilctools.trials.start import Start
 
 
+def test_a_rig_is_waited_for_as_long_as_it_takes_and_no_longer():
+    """Which the count of samples that one forgot to change is not."""
+    loop = current_trial_loop(boiler(), boiler().input_labels[:2])
+    law = Law(zero_phase_butterworth(2, 0.1, 0.5), None)
+    trials = loop, law, np.linspace(0, [1.0, 1.0], 40) ** 2, None, 2  # it ends warm
+    device = ModelRig(boiler())
+    log = record(device, *trials)  # without a warning
+    assert 5 < len(device.sent) - 2 * 40 < 80
+    assert np.abs(log.y[1, 0] - log.y[0, 0]).max() < 0.03
+    with pytest.warns(UserWarning, match=r"after trial 2: it starts [\d.]+ in depth, .* in heat"):
+        warm = record(ModelRig(boiler()), *trials, pause=0)
+    assert np.abs(warm.y[1, 0] - warm.y[0, 0]).max() > 0.3
+
+
 def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
     """A leak that the controller does not know holds it: two trials, then it is said."""
     loop = current_trial_loop(boiler(), boiler().input_labels[:2])

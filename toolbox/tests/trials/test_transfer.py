@@ -21,6 +21,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.trials.rms import rms
+from ilctools.trials.transfer import ROUNDED_POWER, _Fits
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:(v for|F predicts|the convergence rate|commands were)"
@@ -128,6 +129,16 @@ def test_it_takes_logs_parts_of_them_and_references_of_any_length(tmp_path):
     assert not transfer(still, NEW).v.any()
 
 
+def test_a_disturbance_that_came_in_between_is_reported():
+    came = np.zeros((8, 200, 2))
+    came[4:] = steps(200, (0.3, 0.1, 0.2, 2.0), (0.2, 0.3, 0.1, -3.0))
+    done = trials_of(ClosedLoop(coupled()[0]), 1.0, 8, noise=came)
+    with pytest.warns(UserWarning, match="another disturbance came") as seen:
+        transfer(done, NEW)
+    assert seen[0].filename == __file__
+    assert transfer(done.isel(trial=slice(4, None)), NEW).predicted.min() > 0.9
+
+
 def test_units_do_not_matter():
     v, scale = np.random.default_rng(0).standard_normal((200, 2)), np.array([1e3, 1e-4])
     run = run_trials(ClosedLoop(coupled()[0]), Law(Q, None), OLD, trials=1, v=v)
@@ -149,3 +160,29 @@ def test_what_does_not_belong_together_is_refused():
             transfer(trials, NEW)
     with pytest.raises(ValueError, match="reference has shape"):
         transfer(done, NEW[:, :1])
+
+
+def test_trials_that_differ_by_noise_alone_leave_v_uncertain():
+    task = ClosedLoop(coupled()[0]), Law(Q, None), OLD
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 1, 200, 2))
+    trials = [run_trials(*task, trials=1, noise=white) for white in noise]
+    with pytest.warns(UserWarning, match="may be off by") as seen:
+        assert len(repr(transfer(trials, -OLD))) < 200
+    assert len(seen) == 2  # one for each output
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_a_fit_misses_below_rounding_makes_it_no_more_likely(seed):
+    """Targets that the regressors give exactly: all fits that miss less than rounding are level.
+
+    A fit with the weight w misses some w of a target, w^2 of its power, and rounding leaves some
+    ten EPS of the power. With a floor of ROUNDED_POWER the logarithm differs by no more than their
+    ratio.
+    """
+    rng = np.random.default_rng(seed)
+    Phi, f = rng.standard_normal((3, 200, 4)), rng.standard_normal((4, 1))
+    fits = _Fits(Phi, Phi @ f)
+    faint = [fits.likelihood(1.0, 1.0, weight)[0] for weight in (1e-9, 1e-10)]
+    assert abs(np.diff(faint)) < len(Phi) * 10 * np.finfo(float).eps / ROUNDED_POWER
+    strong = fits.likelihood(1.0, 1.0, 1e-3)[0]
+    assert strong < min(faint) - 10  # which misses 1e-6 of the power, far above rounding
