@@ -84,10 +84,12 @@ class Convergence:
 def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     """How fast the error converges from trial to trial: M = Q (I - P L) on a grid.
 
+    With fewer inputs than outputs, how fast v does: M = Q (I - L P).
+
     Parameters
     ----------
-    P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these
-        As for :func:`ilctools.synthesise`; an array of shape (p, n, m, m) is several plants, too.
+    P : array_like, shape (n, p, m), a model, a loop, or a list of these
+        As for :func:`ilctools.synthesise`; an array (plants, n, p, m) is several plants, too.
     Q : ZeroPhaseButterworth or array_like, shape (n,)
     L : LearningOperator
         The learning filter.

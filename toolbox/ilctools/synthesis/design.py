@@ -56,8 +56,8 @@ def synthesise(
 
     Parameters
     ----------
-    P : model, loop, array_like of shape (n, m, m), or measured response; or a list of them
-        The closed loop from v to y. A table is in rad/s and of exp(j omega t). Of a list the first
+    P : model, loop, array_like of shape (n, p, m), or measured response; or a list of them
+        From v (m learned inputs) to y (p outputs), in closed loop. A table is in rad/s and of exp(j omega t). Of a list the first
         plant is the nominal one; the bounds hold for all of them.
     Q : ZeroPhaseButterworth, or array_like of shape (n,), optional
         The filter, or its samples on `omega`. Default: one of order 2, up to where P reaches.
@@ -84,8 +84,8 @@ def synthesise(
         Whether each error acts on all channels, or on its own channel only.
     objective : {"sum", "peak"}
         The sum (39) for the nominal plant, or the peak (45) of all plants.
-    scale : array_like, shape (m,), optional
-        What counts as equally large in each channel. Default: ones.
+    scale : dict, or array_like of shape (m,) for a square P, optional
+        What counts as equally large, by the names of outputs and learned inputs. Default: ones.
     uncertainty : float, or array_like of shape (n,), optional
         Radius r: the bounds hold for all P + Delta with ||Delta|| <= r. A number is a share of
         sigma_max(P) at each frequency: 0.05 is 5 %.
@@ -129,6 +129,11 @@ def synthesise(
     :mod:`ilctools.labels`. What :func:`measured_response` returns has a radius of its own, for a
     probability of 0.99; for another one pass both of ``P.on(omega, confidence)``. Without a radius
     samples count as exact, noise included.
+
+    **Channels.** With fewer learned inputs than outputs trials contract in v, M = Q (I - L P), and the
+    rate is that of v: what the inputs cannot reach stays of the error. Else M = Q (I - P L), of the
+    error; with more inputs than outputs the smallest v is learned. In a square P an input without a
+    scale of its own has that of its output. Directions that P never passes are left out, and named.
 
     **Q.** Without Q, the cut-off is where the least singular value of all plants is a tenth of its
     value at rest, or where the plants differ as much as M_max allows, see

@@ -11,8 +11,8 @@ SMALLEST_DIVISOR = np.finfo(float).tiny  # instead of a zero
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     """RMS of the error of each trial: root of the mean over time of e'e, summed over channels.
 
-    `e` is a DataArray with the dimensions time and channel, or a dataset of trials or a log with
-    reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
+    `e` is a DataArray with the dimensions time and channel, or input, or a dataset of trials or a
+    log with reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
 
     See Also
     --------
@@ -32,7 +32,7 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
             raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
         e = e.reference.astype(float) - e.y
     arguments.instance("e", e, xr.DataArray)
-    if not {"time", "channel"} <= set(e.dims):
+    if "time" not in e.dims or not {"channel", "input"} & {*e.dims}:
         raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
     arguments.array("e", e.values, (...,))
     return rms_of(e)
@@ -40,7 +40,8 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
 
 def rms_of(e: xr.DataArray) -> xr.DataArray:
     """RMS(e_k), also of what is not finite."""
-    return np.sqrt((e.astype(float) ** 2).sum("channel").mean("time"))
+    channels = "input" if "input" in e.dims else "channel"
+    return np.sqrt((e.astype(float) ** 2).sum(channels).mean("time"))
 
 
 def harmonics(signals) -> np.ndarray:
