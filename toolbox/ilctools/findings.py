@@ -20,6 +20,9 @@ FINDINGS = {
     "directions": "{place}: what is left has {value} directions, and is learned; the error in the "
     "others stays. Does each sensor show something of its own, and each input do something of its "
     "own? Channels in units that differ by millions need `scale`",
+    "alike": "{place} the weakest direction of P has {value:.2g} of the gain of the strongest: are "
+    "two sensors, or two inputs, nearly the same, or in other units? L inverts the difference, and "
+    "noise with it. Leave one out, or pass `scale`",
     "lead": "the phase of P leads what its gain admits of any stable plant: is it of "
     "exp(-j omega t), then pass P.conj(), or in other units of omega?",
     "rest": "P differs from the identity by {value:.2g} {place}, where this loop integrates and "

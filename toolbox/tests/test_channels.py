@@ -213,6 +213,12 @@ def test_directions_that_a_plant_never_passes_are_left_out_and_named(P, named, o
     assert changed.rate < 1 and design.law().region.P.shape[2:] == P.shape
 
 
+def test_sensors_that_are_nearly_the_same_are_noticed():
+    nearly = np.array([[1.0, 0.0], [1.0, 1e-3], [0.0, 1e-3]]) * plant(2, 2)
+    with pytest.warns(UserWarning, match=r"weakest direction of P has 0\.00"):
+        synthesise(nearly, Q)
+
+
 @pytest.mark.parametrize(("p", "m"), [(2, 1), (1, 2)])
 def test_within_limits_v_is_the_nearest_that_can_be_applied(p, m):
     P, samples = plant(p, m), 25

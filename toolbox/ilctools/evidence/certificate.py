@@ -44,6 +44,9 @@ BELOW_ONE = np.nextafter(1, 0)  # one is no longer monotone
 COARSE = 0.25
 FINE = 2000  # frequencies of the mean over the band
 LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
+# Share of the strongest direction of P, at each frequency up to the cut-off, from which on the
+# weakest may be a difference of two sensors that are nearly the same
+ALIKE = 3e-3
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -210,6 +213,7 @@ class Certificate:
             found.append(
                 Finding("directions", problem.channels, min(map(len, problem.scale)), place)
             )
+        found += _alike(problem)
         found += doubts(response)
         if response.models[0] is None and response.low is None:  # else signals say what leads
             ahead = lead(response.P[0], response.omega, response.Ts)
@@ -266,6 +270,15 @@ class Certificate:
     def rate_above(self) -> float:
         """The rate without what is assumed below the first sample."""
         return self._highest_without(BELOW).sigma
+
+
+def _alike(problem) -> list[Finding]:
+    """Whether P passes next to nothing in one direction, against another, up to Q's cut-off."""
+    below = problem.omega <= max(problem.lowpass.cutoff, problem.omega[0])
+    values = np.linalg.svd(problem.P[below], compute_uv=False)
+    share = (values[:, -1] / values[:, 0]).max()
+    place = f"up to {problem.lowpass.cutoff:.4g} rad/s"
+    return [Finding("alike", share, ALIKE, place)] if share < ALIKE else []
 
 
 def check(

@@ -57,8 +57,8 @@ def synthesise(
     Parameters
     ----------
     P : model, loop, array_like of shape (n, p, m), or measured response; or a list of them
-        From v (m learned inputs) to y (p outputs), in closed loop. A table is in rad/s and of exp(j omega t). Of a list the first
-        plant is the nominal one; the bounds hold for all of them.
+        From v (m learned inputs) to y (p outputs), in closed loop. A table is in rad/s and of
+        exp(j omega t). Of a list the first plant is the nominal one; the bounds hold for all.
     Q : ZeroPhaseButterworth, or array_like of shape (n,), optional
         The filter, or its samples on `omega`. Default: one of order 2, up to where P reaches.
     omega : array_like, shape (n,), optional
@@ -130,10 +130,10 @@ def synthesise(
     probability of 0.99; for another one pass both of ``P.on(omega, confidence)``. Without a radius
     samples count as exact, noise included.
 
-    **Channels.** With fewer learned inputs than outputs trials contract in v, M = Q (I - L P), and the
-    rate is that of v: what the inputs cannot reach stays of the error. Else M = Q (I - P L), of the
-    error; with more inputs than outputs the smallest v is learned. In a square P an input without a
-    scale of its own has that of its output. Directions that P never passes are left out, and named.
+    **Channels.** With fewer learned inputs than outputs trials contract in v, M = Q (I - L P), and
+    the rate is that of v: what the inputs cannot reach stays of the error. Else M = Q (I - P L), of
+    the error; with more inputs than outputs the smallest v is learned. In a square P an input
+    without a scale of its own has that of its output. Directions that P never passes are left out.
 
     **Q.** Without Q, the cut-off is where the least singular value of all plants is a tenth of its
     value at rest, or where the plants differ as much as M_max allows, see
