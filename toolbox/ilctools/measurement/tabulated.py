@@ -50,7 +50,7 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
             f"log.omega = {reprlib.repr(omega.tolist())} must be four positive increasing "
             "frequencies, or more"
         )
-    shape = len(omega), "m", "m"
+    shape = len(omega), "p", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
     with_phase("log", P)
     uncertainty, _ = labels.on("uncertainty", uncertainty, omega)

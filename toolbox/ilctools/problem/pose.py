@@ -37,7 +37,8 @@ def pose(
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
     lowpass, asked_order = lowpass_of(Q, response.omega), order
     cutoff, chosen = lowpass.cutoff, []
-    square = response.P.shape[2] == response.P.shape[3]
+    p, m = response.P.shape[2:]
+    square = p == m
     if base == defaults.CHOOSE and order is not None and square:
         base = None
     pooled = base == defaults.CHOOSE
@@ -46,6 +47,8 @@ def pose(
     if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     structure = arguments.choice("structure", structure, ["diagonal", "full"])
+    if structure == "diagonal" and not square:
+        raise needs_square("structure = 'diagonal'", p, m)
     reach = None if reach is None else arguments.whole("reach", reach, 1)
     order = _order(response, cutoff, order, base, chosen)
     Q = lowpass.frequency_response(response.omega)
@@ -69,15 +72,11 @@ def pose(
     )
 
 
-def refuse_unless_square(problem: Problem) -> None:
-    """Refuse what is for as many learned inputs as outputs, of a plant with other numbers."""
-    diagonal = problem.structure == "diagonal"
-    if not problem.square and (diagonal or problem.base is None):
-        name = "structure = 'diagonal'" if diagonal else "base = None"
-        raise ValueError(
-            f"{name} needs as many learned inputs as outputs, but P has {problem.m} and "
-            f"{problem.p}: leave it out"
-        )
+def needs_square(what: str, p: int, m: int) -> ValueError:
+    """The error of what is for as many learned inputs as outputs, of a plant with other numbers."""
+    return ValueError(
+        f"{what} needs as many learned inputs as outputs, but P has {m} and {p}: leave it out"
+    )
 
 
 def checked_M_max(M_max) -> float:

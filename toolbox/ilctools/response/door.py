@@ -53,6 +53,9 @@ def response_of(
     check_match(**signals, Q=Q, grid=Signals(Ts))
     _refuse_other_units(P, omega, responses[0], Ts)
     nominal, *_ = signals.values()
+    if like and responses.shape[2:] != like.scale.of_P.shape:
+        (p, m), (outputs, inputs) = responses.shape[2:], like.scale.of_P.shape
+        raise ValueError(f"P has {p} outputs and {m} inputs, but the design {outputs} and {inputs}")
     units = like.scale if like else scale_of(scale, *_names(nominal, *responses.shape[-2:]))
     models, responses = _in_units(units, models, responses)
     directions = like.directions if like else Directions.passed_by(responses)

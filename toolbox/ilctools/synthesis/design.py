@@ -11,7 +11,7 @@ from ilctools.evidence.finite import trial_norm
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.findings import Finding
 from ilctools.problem.defaults import CHOOSE
-from ilctools.problem.pose import checked_M_max, pose, refuse_singular, refuse_unless_square
+from ilctools.problem.pose import checked_M_max, needs_square, pose, refuse_singular
 from ilctools.problem.problem import Problem
 from ilctools.response.door import LOWEST_CUTOFF, response_of
 from ilctools.singular_values import tied
@@ -283,7 +283,8 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 
 def designed(problem: Problem) -> Synthesis:
     """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
-    refuse_unless_square(problem)
+    if problem.base is None and not problem.square:
+        raise needs_square("base = None", problem.p, problem.m)
     design = by_formula(problem) if problem.formula_will_do else None
     return certified(problem) if design is None else design
 

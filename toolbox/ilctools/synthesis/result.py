@@ -124,11 +124,6 @@ class Synthesis:
         Q, like = design.lowpass, design.response
         response = response_of(P, omega, design.Ts, uncertainty, Q=Q, like=like)
         problem = pose(response, Q, order=1, L_max=None, objective="peak")
-        if problem.P.shape[1:] != design.P.shape[1:]:
-            raise ValueError(
-                f"P has {problem.p} outputs and {problem.m} inputs, but the filter is for "
-                f"{design.p} outputs and {design.m} inputs"
-            )
         check_match(design=design.response.signals, P=response.signals)
         return on_one_thread(check)(problem, self.certificate.scaled_filter).convergence
 

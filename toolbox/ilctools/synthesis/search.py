@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools.errors import SolverError
-from ilctools.problem.pose import pose, refuse_unless_square
+from ilctools.problem.pose import pose
 from ilctools.response.door import response_of
 from ilctools.synthesis.design import certified, warn_of_findings
 from ilctools.synthesis.everywhere import solve_everywhere
@@ -55,7 +55,11 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             )
     known = choices.pop("uncertainty", None), choices.pop("scale", None)
     problem = pose(response_of(P, omega, Ts, *known, Q), Q, objective="peak", L_max=None, **choices)
-    refuse_unless_square(problem)
+    if not problem.square:
+        raise ValueError(
+            "least_gain searches among filters without base, which need as many learned inputs as "
+            f"outputs, but P has {problem.m} and {problem.p}: call synthesise"
+        )
     free = certified(problem)
     unit = ENOUGH * free.sigma_L.max()
     question = replace(problem, objective=replace(problem.objective, kind="gain"))
