@@ -339,3 +339,15 @@ def test_a_law_for_another_place_is_refused():
     with pytest.raises(ValueError, match=r"v holds .* must hold \['q0'\]"):
         v = run_trials(at["q0"], law, bump(50, [1.0]), trials=1).v[0]
         run_trials(at["q0"], law, bump(50, [1.0]), v=v.assign_coords(input=["T0"]))
+
+
+def test_a_table_of_any_shape_is_a_measured_response():
+    P, omega = plant(3, 2), np.linspace(0.01, np.pi, 150)
+    names = {"inputs": P.input_labels, "outputs": P.output_labels}
+    table = control.frd(np.moveaxis(response(P, omega), 0, -1), omega, 1.0, **names)
+    measured = measured_response(table, uncertainty=np.full(150, 0.01))
+    assert measured.names == (P.input_labels, P.output_labels)
+    assert len(measured.plot().axes) == 12
+    design = synthesise(measured, Q, scale={"T0": 2.0})
+    with pytest.raises(ValueError, match="P has 2 outputs and 2 inputs, but the design 3 and 2"):
+        design.check(plant(2, 2))

@@ -56,5 +56,8 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     uncertainty, _ = labels.on("uncertainty", uncertainty, omega)
     radius = radius_of(0.0 if uncertainty is None else uncertainty, P)
     timed = table.dt and table.dt is not True
-    loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
+    names = {"outputs": table.output_labels}
+    if table.ninputs != table.noutputs:  # else v is added to references
+        names |= {"references": {}, "learned": table.input_labels}
+    loop = ClosedLoop(None, table.dt, **names) if timed else None
     return TabulatedResponse(omega, P, radius, loop)
