@@ -45,10 +45,10 @@ from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
-NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
+NEGLIGIBLE_IN_M = 1e-4  # change of sigma_max(M) for which B is truncated
 POINTS = 2**15  # of the transform that gives the coefficients of B
-FARTHEST = POINTS // 4  # samples that B reaches at most, each way
-EXACT = 1e-7  # relative error of the factors that is rounding
+FARTHEST_REACH = POINTS // 4  # samples that B reaches at most, each way
+EXACT_FACTORS = 1e-7  # relative error of the factors that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class RegularisedInverse:
         F, P = (frequency_response(model, omega) for model in (factor, P))
         of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + 1, axis=1)
         ratio = np.abs(np.linalg.det(F)) ** 2 / of_normal  # F* F = P* P + b^2
-        if ratio.max() > ratio.min() * (1 + EXACT):
+        if ratio.max() > ratio.min() * (1 + EXACT_FACTORS):
             raise ValueError(f"b = {self.b} is too small for P: rounding decides the poles of B")
         return poles
 
@@ -203,11 +203,11 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
         P = P * np.eye(P.shape[-1])
     size = np.max([*map(largest_singular_values, P)], axis=0)
     counts = np.abs(lowpass.frequency_response(omega)) * size
-    farthest = reach or FARTHEST
+    farthest = reach or FARTHEST_REACH
     if response.models[0] is None:  # lines that are so far apart show no longer response
         first = response.omega[response.omega > 0][0]
         farthest = min(farthest, 2 * np.pi / (first * response.Ts))
-    coefficients, N = _shortened(quadratic_law(P, b), counts, int(min(farthest, FARTHEST)))
+    coefficients, N = _shortened(quadratic_law(P, b), counts, int(min(farthest, FARTHEST_REACH)))
     # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
     peak = largest_singular_values(rfft(coefficients, 4 * POINTS, axis=0)).max()
     coefficients *= min(1, np.cos(np.pi * N / (4 * POINTS)) / (2 * b * peak))
@@ -217,7 +217,7 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
 def _shortened(B, counts, farthest):
     """Coefficients of q^-N ... q^N of B, (2 N + 1, m, p), and N, the least power of two.
 
-    What is left out is NEGLIGIBLE, at each frequency times what `counts` there.
+    What is left out is NEGLIGIBLE_IN_M, at each frequency times what `counts` there.
     """
     N, middle, coefficients = 1, POINTS // 2, coefficients_of(B)
     while True:
@@ -226,7 +226,7 @@ def _shortened(B, counts, farthest):
         lost = coefficients.copy()
         lost[kept] = 0
         missed = counts * largest_singular_values(rfft(lost, axis=0))
-        if farthest == N or missed.max() < NEGLIGIBLE:
+        if farthest == N or missed.max() < NEGLIGIBLE_IN_M:
             return coefficients[kept], N
         N *= 2
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from ilctools.evidence import report
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
-from ilctools.evidence.finite import settled_norm
+from ilctools.evidence.finite import SettledTrial, settled_trial
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
 from ilctools.evidence.peak import (
     BELOW,
-    CLOSE,
     DEAF,
+    PEAK_TOLERANCE,
     Peak,
     dense_grid,
     highest,
@@ -28,7 +28,6 @@ from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.bounds import Claim
-from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.plausible import doubts
 from ilctools.problem.problem import Problem, Solution
@@ -36,15 +35,14 @@ from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
-GAP = 1e-6
-VIOLATION = 1e-9
+GAP_ACCEPTED = 1e-6
+VIOLATION_ACCEPTED = 1e-9
 BELOW_ONE = np.nextafter(1, 0)  # one is no longer monotone
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
-COARSE = 0.25
-FINE = 2000  # frequencies of the mean over the band
-LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
-IDLE = 0.9  # share of the error in the band from which on learning counts as idle
+ROOM_PASSED = 0.25
+FREQUENCIES_OF_MEAN = 2000  # frequencies of the mean over the band
+IDLE_FROM = 0.9  # share of the error in the band from which on learning counts as idle
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class Certificate:
     """
 
     problem: Problem  # as stated
-    grid: Problem  # at all frequencies at which it needed bounds
+    problem_on_grid: Problem  # at all frequencies at which it needed bounds
     scaled_filter: Filter  # in units of scale, as P is
     value: float  # the objective reached
     worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
@@ -72,7 +70,7 @@ class Certificate:
         """The largest value on the grid of what a claim is about."""
         if claim.matrix == "M":
             return self.grid_M
-        return float(self.sigma_L[claim.holds_at(self.grid.omega)].max(initial=0))
+        return float(self.sigma_L[claim.holds_at(self.problem_on_grid.omega)].max(initial=0))
 
     def anywhere(self, claim: Claim) -> float:
         """The largest value at all frequencies of what a claim is about."""
@@ -90,12 +88,12 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """An upper bound of sigma_max(M), to CLOSE; an estimate if it is not proven."""
+        """An upper bound of sigma_max(M), to PEAK_TOLERANCE; an estimate if it is not proven."""
         return self.peak.sigma
 
     @cached_property
     def all_L(self) -> float:
-        """An upper bound of sigma_max(L), to CLOSE, for all frequencies."""
+        """An upper bound of sigma_max(L), to PEAK_TOLERANCE, for all frequencies."""
         return peak_of_L(self.scaled_filter)[0]
 
     @property
@@ -125,7 +123,11 @@ class Certificate:
         omega = np.concatenate([problem.omega, peaks, *grids])
         own = self._at(omega, plants)
         # what the eigenvalues do not have: what splines may miss, and what is assumed beyond
-        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1, BELOW: 1}
+        least = {
+            "estimated": max(1, own.sigma.max() * (1 + PEAK_TOLERANCE)),
+            "assumed": 1,
+            BELOW: 1,
+        }
         unknown = [self.peaks[how].sigma >= least[how] for how in least.keys() & self.peaks]
         return Convergence(
             problem.omega,
@@ -135,7 +137,7 @@ class Certificate:
             spectral_radius=float(own.spectral_radius.max()),
             proven=self.proven,
             uncertain=problem.radius is not None or any(unknown),
-            assumptions=problem.assumptions,
+            assumptions=tuple(map(str, problem.assumptions)),
         )
 
     def _at(self, omega, plants):
@@ -152,7 +154,7 @@ class Certificate:
         if band is None or band[0] <= 0:
             return np.nan
         if self.problem.proven:  # trapezia between coarse frequencies are not enough
-            omega = np.union1d(omega, np.geomspace(*band, FINE))
+            omega = np.union1d(omega, np.geomspace(*band, FREQUENCIES_OF_MEAN))
         return float(log_mean(self._at(omega, [0]).sigma[0], omega, band))
 
     @cached_property
@@ -169,19 +171,18 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
-        return (self.value - self.lower_bound) / self.grid.unit(self.value)
+        """Distance of value and lower bound, relative to :meth:`.Problem.gap_scale`."""
+        return (self.value - self.lower_bound) / self.problem_on_grid.gap_scale(self.value)
 
     @property
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
         problem = self.problem
-        judged = [  # values that may be so many times their limit
-            (1, Finding("gap", self.gap, GAP)),
-            *((1 + VIOLATION, self._judged("on the grid", c)) for c in problem.bounds.claims),
-        ]
-        if problem.bounds.everywhere:
-            judged += [(1 + CLOSE, self._judged("everywhere", c)) for c in problem.bounds.claims]
+        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # with how many limits it may be
+        for claim in problem.bounds.claims:
+            judged.append((1 + VIOLATION_ACCEPTED, self._judged("on the grid", claim)))
+            if problem.bounds.everywhere:
+                judged.append((1 + PEAK_TOLERANCE, self._judged("everywhere", claim)))
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
         for how in codes.keys() & self.peaks:
             peak = self.peaks[how]
@@ -211,16 +212,13 @@ class Certificate:
                 Finding("directions", problem.channels, min(map(len, problem.scale)), place)
             )
         found += doubts(response)
-        if response.models[0] is None and response.low is None:  # else signals say what leads
-            ahead = lead(response.P[0], response.omega, response.Ts)
-            found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
         if BELOW in self.peaks and self.peaks[BELOW].sigma > BELOW_ONE:
             below = f"below {problem.omega[0]:.4g} rad/s"
             found.append(Finding("below", self.peaks[BELOW].sigma, 1, below))
-        if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:
-            found.append(Finding("idle", self.value / problem.idle, IDLE))
+        if problem.objective.kind == "sum" and self.value > IDLE_FROM * problem.idle:
+            found.append(Finding("idle", self.value / problem.idle, IDLE_FROM))
         code, known = ("between", problem.M_max) if self.proven else ("samples", self.grid_M)
-        passed = peak.sigma - known > COARSE * (1 - known)
+        passed = peak.sigma - known > ROOM_PASSED * (1 - known)
         if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
             found.append(Finding(code, peak.sigma, known, self.place(peak)))
         return found
@@ -231,15 +229,12 @@ class Certificate:
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
     @cached_property
-    def trial(self) -> tuple[int, float]:
-        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models.
-
-        Of several plants it is the largest over all of them, see :mod:`.worst_trial`.
-        """
+    def settled_trial(self) -> SettledTrial:
+        """A trial, and its largest norm among the plants; NaN unless P and Q are models."""
         problem = self.problem
-        if None in problem.response.models or isinstance(problem.lowpass, SampledQ):
-            return 0, np.nan
-        return settled_norm(problem.response.models, problem.lowpass, self.scaled_filter)
+        if problem.response.sampled or isinstance(problem.lowpass, SampledQ):
+            return SettledTrial(0, np.nan)
+        return settled_trial(problem.response.models, problem.lowpass, self.scaled_filter)
 
     def __repr__(self):
         return report.printed(self)

@@ -15,7 +15,7 @@ from ilctools.singular_values import largest_singular_values
 
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
 SINGULAR = 1e-12  # of the largest singular value: what is less is rounding
-LONGEST = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
+LONGEST_FILTER = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
 
 
 def pose(
@@ -65,7 +65,7 @@ def pose(
         structure,
         base,
         formula_will_do=pooled and asked_order is None,
-        chosen=tuple(chosen),
+        defaults_chosen=tuple(chosen),
     )
 
 
@@ -120,7 +120,7 @@ def _order(response, cutoff, order, base, chosen):
     """The order of L or K, which the frequencies must determine."""
     n = len(response.omega)
     if order is None and base is not None:
-        order = min(defaults.TAPS, n)
+        order = min(defaults.TAPS_OF_K, n)
         if base != defaults.CHOOSE:
             chosen.append(f"order = {order} of K, in L = B K")
     if order is None:
@@ -128,10 +128,10 @@ def _order(response, cutoff, order, base, chosen):
         order = defaults.order(cutoff, delay, response.Ts, n)
         chosen.append(f"order = {order}, by Q's cut-off and P's lag of {delay} samples there")
     order = arguments.whole("order", order, 1)
-    if order > LONGEST:
+    if order > LONGEST_FILTER:
         raise ValueError(
-            f"order = {order} is more than {LONGEST}, beyond which a design takes minutes: leave "
-            "it out, L = B then looks as far as P needs, or sample more slowly"
+            f"order = {order} is more than {LONGEST_FILTER}, beyond which a design takes minutes: "
+            "leave it out, L = B then looks as far as P needs, or sample more slowly"
         )
     if order > n:
         raise ValueError(
@@ -190,7 +190,7 @@ def _of_band(omega, cutoff, band, summed, chosen):
 def _L_max(L_max, gain, close, chosen):
     """The bound on sigma_max(L), which may be None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
+        L_max, room = gain, f"{defaults.ROOM_OF_BASE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
     what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
     return None if L_max is None else arguments.positive("L_max", L_max, what)

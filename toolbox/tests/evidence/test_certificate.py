@@ -39,11 +39,12 @@ def test_a_certificate_in_print(good):
     Digits are those of the numbers, which other tests judge.
     """
     assert good.failures == good.warnings == []
+    trial = good.settled_trial
     expected = f"""\
 rate at most {good.rate:.4f}, at all frequencies, proven; largest near 0.041 rad/s
 {good.margins}
 P is diag(1, 1) at rest, Q's cut-off 0.1 rad/s, where P lags by 17 samples, \
-sigma_max(L) {good.all_L:.3g}, norm of a trial of {good.trial[0]} samples {good.trial[1]:.3g}
+sigma_max(L) {good.all_L:.3g}, norm of a trial of {trial.samples} samples {trial.norm:.3g}
 limited by M_max = 0.9, L_max = 50, order = 10; \
 mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s"""
     assert f"{good}" == expected

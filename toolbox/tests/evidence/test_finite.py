@@ -6,7 +6,7 @@ import pytest
 from plants import furnace, lag
 
 from ilctools import LearningFilter, trial_map, trial_norm, trial_operators, zero_phase_butterworth
-from ilctools.evidence.finite import settled_norm
+from ilctools.evidence.finite import settled_trial
 from ilctools.models import sampled_plant
 
 TAPS = 0.3 * np.random.default_rng(1).standard_normal((2, 2, 10))
@@ -52,7 +52,7 @@ LOWPASS, TAP = zero_phase_butterworth(2, 0.5, 1.0), LearningFilter([[[0.5]]], 1.
     ],
 )
 def test_a_trial_is_ten_times_as_long_as_the_plants_settle(plants, samples):
-    found, norm = settled_norm(plants, LOWPASS, TAP)
+    found, norm = settled_trial(plants, LOWPASS, TAP)
     assert found == int(samples)
     assert norm == pytest.approx(
         max(trial_norm(P, LOWPASS, TAP, found)[0] for P in plants), rel=1e-7

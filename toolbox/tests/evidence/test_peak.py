@@ -19,7 +19,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.evidence.peak import BELOW, CLOSE, peak_of_M, proven_peak
+from ilctools.evidence.peak import BELOW, PEAK_TOLERANCE, peak_of_M, proven_peak
 from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units
 from ilctools.singular_values import largest_singular_values
@@ -156,14 +156,14 @@ def test_a_peak_is_above_and_close_to_brute_force_in_whatever_units(n, m, distan
     if lowpass:
         sigma *= lowpass.frequency_response(omega)
     assert sigma.max() <= gain * (1 + rounding)
-    assert gain <= sigma[-1] * (1 + CLOSE + rounding)
+    assert gain <= sigma[-1] * (1 + PEAK_TOLERANCE + rounding)
 
 
 @pytest.mark.parametrize("gain", [1e-170, 1e170])
 def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     for m in (1, 3):
         system = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), 0, 1.0)
-        assert peak_gain(system)[0] == pytest.approx(2 * gain, rel=CLOSE, abs=0)
+        assert peak_gain(system)[0] == pytest.approx(2 * gain, rel=PEAK_TOLERANCE, abs=0)
 
 
 def test_an_unstable_system_has_no_peak():
