@@ -144,11 +144,9 @@ def in_units(L, of_v, of_y):
     """An operator on outputs over `of_y`, which makes inputs over `of_v`, in their own units."""
     if isinstance(L, Composition):
         # the signals between B and K have the units of that side on which K stands, if as many
-        side, count = (of_y, L.K.rows) if L.K_first else (of_v, L.K.columns)
-        between = side if len(side) == count else np.ones(count)
-        if L.K_first:
-            return replace(L, B=in_units(L.B, of_v, between), K=in_units(L.K, between, of_y))
-        return replace(L, B=in_units(L.B, between, of_y), K=in_units(L.K, of_v, between))
+        (last, first), side = L.factors, of_y if L.K_first else of_v
+        between = side if len(side) == first.rows else np.ones(first.rows)
+        return _composed(L, in_units(last, of_v, between), in_units(first, between, of_y))
     if isinstance(L, RegularisedInverse):
         return replace(L, scale=of_v, scale_y=of_y)
     return replace(L, coefficients=L.coefficients * (of_v[:, None] / of_y)[..., None])
@@ -156,16 +154,20 @@ def in_units(L, of_v, of_y):
 
 def extended(L, U, V):
     """V L U' of an operator for U' P V, see :mod:`.response.directions`."""
-    p, m = len(U), len(V)
     if isinstance(L, Composition):
-        one = np.eye(L.B.columns if L.K_first else L.B.rows)
-        if L.K_first:
-            return replace(L, B=extended(L.B, one, V), K=extended(L.K, U, one))
-        return replace(L, B=extended(L.B, U, one), K=extended(L.K, one, V))
+        last, first = L.factors
+        one = np.eye(first.rows)
+        return _composed(L, extended(last, one, V), extended(first, U, one))
     if isinstance(L, RegularisedInverse):
         P = control.ss(L.P.A, L.P.B @ V.T, L.P.C, L.P.D @ V.T, L.Ts)
-        return RegularisedInverse(P, L.b, np.ones(m), L.E @ U.T, np.ones(p))
+        return RegularisedInverse(P, L.b, np.ones(len(V)), L.E @ U.T, np.ones(len(U)))
     return replace(L, coefficients=np.einsum("vi,ijk,yj->vyk", V, L.coefficients, U))
+
+
+def _composed(L, last, first):
+    """A composition with other factors, the one that acts last first."""
+    B, K = (last, first) if L.K_first else (first, last)
+    return replace(L, B=B, K=K)
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:

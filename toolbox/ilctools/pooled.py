@@ -67,17 +67,22 @@ def pooled(models, b, change) -> Pooled:
     P = np.array([frequency_response(model, omega) for model in models])
     size = np.linalg.norm(P, 2, axis=(2, 3)).max()
     error = change * b**2 / (1.25 * size)
-    share = 1 / np.sqrt(count)
-    groups = [Pooled(model * share, np.eye(p) * share) for model in models]
+    few = _with_few_states(models, error)
+    differs = _square(frequency_response(few.P, omega)) - _square(P).mean(axis=0)
+    if largest_singular_values(differs).max() <= 2 * LEVELS_OF_GROUPS * error * size:
+        return few
+    return Pooled(control.append(*models) * isometry(count, m), isometry(count, p))
+
+
+def _with_few_states(models, error) -> Pooled:
+    """Several models, group by group; P then differs by LEVELS_OF_GROUPS times `error` at most."""
+    share = 1 / np.sqrt(len(models))
+    groups = [Pooled(model * share, np.eye(model.noutputs) * share) for model in models]
     while len(groups) > 1:
         parts = [groups[k : k + GROUP] for k in range(0, len(groups), GROUP)]
         # errors of outputs that stand one below the other add by their squares
         groups = [_joined(part, error / np.sqrt(len(parts))) for part in parts]
-    found = frequency_response(groups[0].P, omega)
-    differs = _square(found) - _square(P).mean(axis=0)
-    if largest_singular_values(differs).max() <= 2 * LEVELS_OF_GROUPS * error * size:
-        return groups[0]
-    return Pooled(control.append(*models) * isometry(count, m), isometry(count, p))
+    return groups[0]
 
 
 def _square(P):

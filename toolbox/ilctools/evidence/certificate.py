@@ -178,11 +178,12 @@ class Certificate:
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
         problem = self.problem
-        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # with how many limits it may be
-        for claim in problem.bounds.claims:
-            judged.append((1 + VIOLATION_ACCEPTED, self._judged("on the grid", claim)))
-            if problem.bounds.everywhere:
-                judged.append((1 + PEAK_TOLERANCE, self._judged("everywhere", claim)))
+        rooms = {"on the grid": 1 + VIOLATION_ACCEPTED}
+        if problem.bounds.everywhere:
+            rooms["everywhere"] = 1 + PEAK_TOLERANCE
+        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # by how many limits a value may be
+        for code, room in rooms.items():
+            judged += [(room, self._judged(code, claim)) for claim in problem.bounds.claims]
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
         for how in codes.keys() & self.peaks:
             peak = self.peaks[how]
@@ -201,20 +202,11 @@ class Certificate:
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
-        found, signals = [*problem.findings, *problem.costs], response.signals
-        outputs, _ = response.names
-        units = {signals.units.get(name, "") for name in outputs} - {""}
-        if len(units) > 1 and problem.scale.is_one:
-            found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
-        if response.directions is not None:
-            place = response.directions.in_words(*response.names)
-            found.append(
-                Finding("directions", problem.channels, min(map(len, problem.scale)), place)
-            )
-        found += doubts(response)
-        if BELOW in self.peaks and self.peaks[BELOW].sigma > BELOW_ONE:
-            below = f"below {problem.omega[0]:.4g} rad/s"
-            found.append(Finding("below", self.peaks[BELOW].sigma, 1, below))
+        found = [*problem.findings, *problem.costs, *doubts(response)]
+        below = self.peaks.get(BELOW)
+        if below is not None and below.sigma > BELOW_ONE:
+            place = f"below {problem.omega[0]:.4g} rad/s"
+            found.append(Finding("below", below.sigma, 1, place))
         if problem.objective.kind == "sum" and self.value > IDLE_FROM * problem.idle:
             found.append(Finding("idle", self.value / problem.idle, IDLE_FROM))
         code, known = ("between", problem.M_max) if self.proven else ("samples", self.grid_M)

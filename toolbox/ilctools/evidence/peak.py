@@ -85,9 +85,7 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
         return proven_peak(sigma, L.poles, L.Ts)
     grid = phase_grid([L.poles], FINE_PHASE_STEP, MOST_IN_A_PASS)
     omega = np.append(lowest, grid[grid > lowest * L.Ts] / L.Ts)
-    values = sigma(omega)
-    if len(crests := tops(omega, values, NEAR_LEVEL * values.max())):
-        omega, values = np.append(omega, crests), np.append(values, sigma(crests))
+    omega, values = with_tops(sigma, omega)
     return float(values.max()), float(omega[values.argmax()])
 
 
@@ -163,26 +161,26 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
 def estimated_peaks(problem: Problem, L, level, k):
     """Those of plant k between, below and above P's frequencies, and how they are known."""
     response = problem.response
-
-    def sigma_M(omega):
-        (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
-        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-        sigma = within_radius(P, Q, of_L, radius, level)
-        if (low := response.unsampled(k, omega)).any():
-            region, Q, of_L = response.samples[k].below(omega[low]), Q[low], of_L[low]
-            moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
-            sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
-        return sigma
-
-    omega = dense_grid(response, k, L)
-    sigma = sigma_M(omega)
-    if len(top := tops(omega, sigma, NEAR_LEVEL * level)):
-        omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
+    sigma_M = partial(_sigma_M, problem, L, level, k)
+    omega, sigma = with_tops(sigma_M, dense_grid(response, k, L), NEAR_LEVEL * level)
     below, above = response.unsampled(k, omega), omega > response.omega[-1]
     for how, there in (("estimated", ~below & ~above), (BELOW, below), ("assumed", above)):
         if there.any():
             at = np.where(there, sigma, -1).argmax()
             yield how, Peak(float(sigma[at]), float(omega[at]), k)
+
+
+def _sigma_M(problem, L, level, k, omega):
+    """sigma_max(M) of plant k within its radius, and within what is assumed below its samples."""
+    response = problem.response
+    (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
+    of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
+    sigma = within_radius(P, Q, of_L, radius, level)
+    if (low := response.unsampled(k, omega)).any():
+        region, Q, of_L = response.samples[k].below(omega[low]), Q[low], of_L[low]
+        moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
+        sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
+    return sigma
 
 
 def passes(P, L, peak) -> bool:
@@ -193,12 +191,21 @@ def passes(P, L, peak) -> bool:
     return np.linalg.norm(of_P, -2) * np.linalg.norm(of_L, 2) > PASSES_NOTHING
 
 
-def tops(omega, sigma, height) -> np.ndarray:
-    """Where crests of this height or more are highest, by the parabolas through three points."""
-    crests, _ = find_peaks(sigma, height=height, plateau_size=(1, 1))
-    (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, sigma))
+def with_tops(function, omega, height=None) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies with those of the tops of crests, and the values of a function there.
+
+    The tops are where the parabolas through three points have them; of crests of this height or
+    more, which is `NEAR_LEVEL` times the largest value by default.
+    """
+    values = function(omega)
+    height = NEAR_LEVEL * values.max() if height is None else height
+    crests, _ = find_peaks(values, height=height, plateau_size=(1, 1))
+    if not len(crests):
+        return omega, values
+    (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, values))
     left, right = (y - x) / (b - a), (z - y) / (c - b)
-    return (a + b) / 2 - left * (c - a) / (right - left) / 2
+    tops = (a + b) / 2 - left * (c - a) / (right - left) / 2
+    return np.append(omega, tops), np.append(values, function(tops))
 
 
 def dense_grid(response: Response, number, L) -> np.ndarray:

@@ -37,23 +37,39 @@ ROUNDED_TO_ZERO = 1e-9  # of the largest gain: rounding
 
 def doubts(response: Response) -> list[Finding]:
     """What speaks against the nominal plant as it was passed."""
+    return [*_of_signals(response), *_of_tables(response)]
+
+
+def _of_signals(response):
+    """Outputs in several units that count alike, and directions that P does not pass."""
+    (outputs, inputs), signals = response.names, response.signals
+    units = {signals.units.get(name, "") for name in outputs} - {""}
+    if len(units) > 1 and response.scale.is_one:
+        yield Finding("units", len(units), 1, ", ".join(sorted(units)))
+    if response.directions is not None:
+        place = response.directions.in_words(outputs, inputs)
+        passed, channels = min(response.P.shape[2:]), min(map(len, response.scale))
+        yield Finding("directions", passed, channels, place)
+
+
+def _of_tables(response):
+    """What is doubted of a table, or of a response where its loop makes it the identity."""
     P, omega = response.P[0], response.omega
     at_first = f"at {omega[0]:.4g} rad/s"
-    found, is_table = [], response.models[0] is None and response.low is None
+    is_table = response.models[0] is None and response.low is None
     if response.one_at_first:
         apart = np.linalg.norm(P[0] - np.eye(len(P[0])), 2) - response.radii[0]
         if apart > 1 - FAR_FROM_ONE:
-            found.append(Finding("rest", apart, 1 - FAR_FROM_ONE, at_first))
+            yield Finding("rest", apart, 1 - FAR_FROM_ONE, at_first)
     elif is_table:
         if np.any(np.abs(np.diagonal(P[0]) + 1) < FAR_FROM_ONE):
-            found.append(Finding("sign", -1, 1, at_first))
+            yield Finding("sign", -1, 1, at_first)
         if _ends_as_in_hertz(P, omega, response.Ts):
             place = f"omega ends at {omega[-1]:.6g}"
-            found.append(Finding("hertz", 0.5 / response.Ts, NEAR_NYQUIST, place))
+            yield Finding("hertz", 0.5 / response.Ts, NEAR_NYQUIST, place)
     ahead = lead(P, omega, response.Ts) if is_table else 0.0  # else signals say what leads
     if ahead > LEAD_DOUBTED:
-        found.append(Finding("lead", ahead, LEAD_DOUBTED))
-    return found
+        yield Finding("lead", ahead, LEAD_DOUBTED)
 
 
 def _ends_as_in_hertz(P, omega, Ts):

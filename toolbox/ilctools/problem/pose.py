@@ -35,16 +35,10 @@ def pose(
     reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
-    lowpass, asked_order = lowpass_of(Q, response.omega), order
-    cutoff, chosen = lowpass.cutoff, []
-    square = response.P.shape[2] == response.P.shape[3]
-    if base == defaults.CHOOSE and order is not None and square:
-        base = None
-    pooled = base == defaults.CHOOSE
-    M_max = checked_M_max(M_max)
+    lowpass, asked_order, chosen = lowpass_of(Q, response.omega), order, []
+    cutoff, base = lowpass.cutoff, _asked_base(base, order, response)
+    pooled, M_max = base == defaults.CHOOSE, checked_M_max(M_max)
     gain = _gain(response, lowpass, M_max, pooled)
-    if base is not None and not pooled:
-        base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     structure = arguments.choice("structure", structure, ["diagonal", "full"])
     reach = None if reach is None else arguments.whole("reach", reach, 1)
     order = _order(response, cutoff, order, base, chosen)
@@ -52,8 +46,9 @@ def pose(
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
     L_high, everywhere = _bound_from(L_high, response), arguments.flag("everywhere", everywhere)
     bounds = Bounds(M_max, _L_max(L_max, gain, pooled, chosen), L_high, everywhere)
+    B = None
     if base is not None:
-        base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
+        B, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
     return Problem(
         response,
@@ -63,10 +58,20 @@ def pose(
         bounds,
         order,
         structure,
-        base,
+        B,
         formula_will_do=pooled and asked_order is None,
         defaults_chosen=tuple(chosen),
     )
+
+
+def _asked_base(base, order, response):
+    """The base as asked for: "auto", a share or None; of a square P, an order means None."""
+    if base == defaults.CHOOSE:
+        square = response.P.shape[2] == response.P.shape[3]
+        return None if square and order is not None else base
+    if base is None:
+        return None
+    return arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
 
 
 def refuse_unless_square(problem: Problem) -> None:

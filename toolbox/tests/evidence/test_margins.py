@@ -10,7 +10,7 @@ from plants import STAGE_WITH_MODES as STAGE
 from plants import sigma_of_M
 
 from ilctools import frequency_response, synthesise, zero_phase_butterworth
-from ilctools.evidence.margins import highest, inwards
+from ilctools.evidence.margins import inwards
 
 S, TS, CUTOFF = control.tf("s"), 0.01, 40.0
 LOWPASS = zero_phase_butterworth(2, CUTOFF, TS)
@@ -132,13 +132,6 @@ def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
 )
 def test_what_is_printed_is_rounded_inwards_to_two_digits(distance, expected):
     assert inwards(distance) == pytest.approx(expected, rel=1e-14)
-
-
-def test_the_height_of_a_crest_is_that_of_its_parabola_but_not_over_a_jump():
-    omega = np.array([0.0, 0.7, 1.3, 2.0])
-    sigma = 1.01 - 0.05 * (omega - 1) ** 2
-    assert highest(omega, sigma, np.array([])) == pytest.approx(1.01, abs=1e-14)
-    assert highest(omega, sigma, np.array([1.0])) == sigma.max()
 
 
 def test_the_papers_design_admits_a_faster_rod_as_far_as_brute_force(loop, Q, omega):
