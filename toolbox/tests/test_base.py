@@ -1,4 +1,4 @@
-"""L = B K: B against dense matrices and its formula, the design against CVXPY and dense grids."""
+"""L = B K: B against its formula, the design against CVXPY and dense grids; trials: test_pooled."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from plants import STAGE_WITH_MODES as STAGE
-from plants import as_matrix, furnace, lifted, sigma_of_M
+from plants import as_matrix, furnace, sigma_of_M
 from problems import statement
 
 from ilctools import (
@@ -37,13 +37,6 @@ COUPLED = control.ss(
 )  # fmt: skip
 
 
-def acts_as(L, dense):
-    """On a trial of two channels, and the transpose as its transpose."""
-    for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
-        found = as_matrix(apply, len(dense) // 2, 2)
-        assert_allclose(found, matrix, rtol=0, atol=1e-12)
-
-
 def errors_of(L, reference, trials, **how):
     """RMS in trials on the stage."""
     return rms(run_trials(LOOP, Law(Q, L), reference, trials=trials, **how).e).values
@@ -61,14 +54,6 @@ def finite():
     return synthesise(STAGE, Q, base=0.03, reach=200)
 
 
-def test_on_a_trial_it_is_the_matrix_and_so_is_its_transpose():
-    N, scale = 12, np.array([1.0, 4.0])
-    units = np.tile(scale, N)
-    B, P_N = RegularisedInverse(COUPLED, 0.3, scale), lifted(COUPLED, N)
-    dense = np.linalg.solve(P_N.T @ P_N + 0.09 * np.eye(2 * N), P_N.T)
-    acts_as(B, units[:, None] * dense / units)
-
-
 @pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
 @pytest.mark.parametrize(("first", "order"), [(1, 4), (-3, 7), (-5, 2), (3, 2), (-80, 161)])
 def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, order, ends):
@@ -78,7 +63,9 @@ def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, o
     taken[at < 0] *= ends == "hold"
     taken[at >= N] *= ends != "zero"
     dense = np.einsum("pkq,ijk->piqj", taken, taps).reshape(2 * N, 2 * N)
-    acts_as(LearningFilter(taps, 1.0, ends, first), dense)
+    L = LearningFilter(taps, 1.0, ends, first)
+    for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
+        assert_allclose(as_matrix(apply, N, 2), matrix, rtol=0, atol=1e-12)
 
 
 def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
@@ -188,3 +175,11 @@ def test_where_P_passes_nothing_the_rest_is_learned_and_print_says_where():
     assert convergence(P, low, design.filter, above).rate < 0.5
     with pytest.raises(ValueError, match=r"P is singular at omega = 0 .* leave such"):
         synthesise(frequency_response(P, omega), low, omega)
+
+
+def test_a_gain_without_states_is_learned():
+    P = np.array([[2.0, 0.5], [0.0, 1.0]])
+    design = synthesise(control.ss([], [], [], P, 0.1))
+    b = 1 / (2 * design.problem.L_max)
+    B = np.linalg.solve(P.T @ P + b**2 * np.eye(2), P.T)  # of norm-optimal learning
+    assert np.allclose(design.filter.frequency_response([0.1, 5.0]), B, rtol=1e-9, atol=0)

@@ -5,9 +5,7 @@ import re
 import control
 import numpy as np
 import pytest
-from paper import paper_choices
 from plants import STAGE_WITH_MODES as STAGE
-from plants import sigma_of_M
 
 from ilctools import frequency_response, synthesise, zero_phase_butterworth
 from ilctools.evidence.margins import inwards
@@ -132,17 +130,3 @@ def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
 )
 def test_what_is_printed_is_rounded_inwards_to_two_digits(distance, expected):
     assert inwards(distance) == pytest.approx(expected, rel=1e-14)
-
-
-def test_the_papers_design_admits_a_faster_rod_as_far_as_brute_force(loop, Q, omega):
-    """Its grid ends at the Nyquist frequency, and begins where a radius would."""
-    design = synthesise(loop, Q, omega, **paper_choices())
-    fine, (faster, slower) = np.linspace(1e-5, np.pi, 20001), design.margins.time
-    for scale, holds in (
-        (1 / (0.99 * faster), True),
-        (1 / (1.01 * faster), False),
-        (0.99 * slower, True),
-        (1.01 * slower, False),
-    ):
-        P = frequency_response(loop.P, (scale * fine).clip(max=np.pi))
-        assert (sigma_of_M(fine, P, Q, design.filter).max() < 1) == holds
