@@ -18,16 +18,13 @@ from ilctools import (
     LearningFilter,
     convergence,
     frequency_response,
-    load_law,
     rms,
     run_trials,
-    save_law,
     synthesise,
     zero_phase_butterworth,
 )
 from ilctools.base import RegularisedInverse
 from ilctools.evidence.peak import peak_of_L, peak_of_M
-from ilctools.law.notes import law_notes, text_of
 from ilctools.problem.problem import K_MAX
 
 LOOP, Q = ClosedLoop(STAGE), zero_phase_butterworth(2, 150.0, 1e-3)
@@ -111,19 +108,6 @@ def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_fil
     left = (1 - low) * (1 - P) / (1 - low * (1 - P * L))  # of the periodic motion
     limit = np.fft.irfft(left * np.fft.rfft(reference), 600)
     assert errors[-1] == pytest.approx(np.sqrt(np.mean(limit**2)), rel=1e-2)
-
-
-def test_files_keep_it_and_old_filters_keep_their_bytes(tmp_path, with_base, finite):
-    path = tmp_path / "law.json"
-    old = Law(Q, LearningFilter([[[0.5]]], 1e-3))
-    for law, version in ((old, 1), (with_base.law(), 2), (finite.law(), 2)):
-        save_law(path, law)
-        assert f'law {version}"' in path.read_text()
-        assert ("first" in path.read_text()) == (version == 2)
-        assert text_of(law_notes(load_law(path))) == text_of(law_notes(law))
-    path.write_text(path.read_text().replace("law 2", "law 4"))
-    with pytest.raises(ValueError, match="format = "):
-        load_law(path)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.0, "none", True])
