@@ -45,10 +45,10 @@ from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
-NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
+NEGLIGIBLE_IN_M = 1e-4  # change of sigma_max(M) for which B is truncated
 POINTS = 2**15  # of the transform that gives the coefficients of B
-FARTHEST = POINTS // 4  # samples that B reaches at most, each way
-EXACT = 1e-7  # relative error of the factors that is rounding
+FARTHEST_REACH = POINTS // 4  # samples that B reaches at most, each way
+EXACT_FACTORS = 1e-7  # relative error of the factors that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class RegularisedInverse:
         F, P = (frequency_response(model, omega) for model in (factor, P))
         of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + 1, axis=1)
         ratio = np.abs(np.linalg.det(F)) ** 2 / of_normal  # F* F = P* P + b^2
-        if ratio.max() > ratio.min() * (1 + EXACT):
+        if ratio.max() > ratio.min() * (1 + EXACT_FACTORS):
             raise ValueError(f"b = {self.b} is too small for P: rounding decides the poles of B")
         return poles
 
@@ -144,11 +144,9 @@ def in_units(L, of_v, of_y):
     """An operator on outputs over `of_y`, which makes inputs over `of_v`, in their own units."""
     if isinstance(L, Composition):
         # the signals between B and K have the units of that side on which K stands, if as many
-        side, count = (of_y, L.K.rows) if L.K_first else (of_v, L.K.columns)
-        between = side if len(side) == count else np.ones(count)
-        if L.K_first:
-            return replace(L, B=in_units(L.B, of_v, between), K=in_units(L.K, between, of_y))
-        return replace(L, B=in_units(L.B, between, of_y), K=in_units(L.K, of_v, between))
+        (last, first), side = L.factors, of_y if L.K_first else of_v
+        between = side if len(side) == first.rows else np.ones(first.rows)
+        return _composed(L, in_units(last, of_v, between), in_units(first, between, of_y))
     if isinstance(L, RegularisedInverse):
         return replace(L, scale=of_v, scale_y=of_y)
     return replace(L, coefficients=L.coefficients * (of_v[:, None] / of_y)[..., None])
@@ -156,16 +154,20 @@ def in_units(L, of_v, of_y):
 
 def extended(L, U, V):
     """V L U' of an operator for U' P V, see :mod:`.response.directions`."""
-    p, m = len(U), len(V)
     if isinstance(L, Composition):
-        one = np.eye(L.B.columns if L.K_first else L.B.rows)
-        if L.K_first:
-            return replace(L, B=extended(L.B, one, V), K=extended(L.K, U, one))
-        return replace(L, B=extended(L.B, U, one), K=extended(L.K, one, V))
+        last, first = L.factors
+        one = np.eye(first.rows)
+        return _composed(L, extended(last, one, V), extended(first, U, one))
     if isinstance(L, RegularisedInverse):
         P = control.ss(L.P.A, L.P.B @ V.T, L.P.C, L.P.D @ V.T, L.Ts)
-        return RegularisedInverse(P, L.b, np.ones(m), L.E @ U.T, np.ones(p))
+        return RegularisedInverse(P, L.b, np.ones(len(V)), L.E @ U.T, np.ones(len(U)))
     return replace(L, coefficients=np.einsum("vi,ijk,yj->vyk", V, L.coefficients, U))
+
+
+def _composed(L, last, first):
+    """A composition with other factors, the one that acts last first."""
+    B, K = (last, first) if L.K_first else (first, last)
+    return replace(L, B=B, K=K)
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
@@ -203,11 +205,11 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
         P = P * np.eye(P.shape[-1])
     size = np.max([*map(largest_singular_values, P)], axis=0)
     counts = np.abs(lowpass.frequency_response(omega)) * size
-    farthest = reach or FARTHEST
+    farthest = reach or FARTHEST_REACH
     if response.models[0] is None:  # lines that are so far apart show no longer response
         first = response.omega[response.omega > 0][0]
         farthest = min(farthest, 2 * np.pi / (first * response.Ts))
-    coefficients, N = _shortened(quadratic_law(P, b), counts, int(min(farthest, FARTHEST)))
+    coefficients, N = _shortened(quadratic_law(P, b), counts, int(min(farthest, FARTHEST_REACH)))
     # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
     peak = largest_singular_values(rfft(coefficients, 4 * POINTS, axis=0)).max()
     coefficients *= min(1, np.cos(np.pi * N / (4 * POINTS)) / (2 * b * peak))
@@ -217,7 +219,7 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
 def _shortened(B, counts, farthest):
     """Coefficients of q^-N ... q^N of B, (2 N + 1, m, p), and N, the least power of two.
 
-    What is left out is NEGLIGIBLE, at each frequency times what `counts` there.
+    What is left out is NEGLIGIBLE_IN_M, at each frequency times what `counts` there.
     """
     N, middle, coefficients = 1, POINTS // 2, coefficients_of(B)
     while True:
@@ -226,7 +228,7 @@ def _shortened(B, counts, farthest):
         lost = coefficients.copy()
         lost[kept] = 0
         missed = counts * largest_singular_values(rfft(lost, axis=0))
-        if farthest == N or missed.max() < NEGLIGIBLE:
+        if farthest == N or missed.max() < NEGLIGIBLE_IN_M:
             return coefficients[kept], N
         N *= 2
 

@@ -36,9 +36,9 @@ CHANGES = 1e-9, 1e-5  # of M, for which states are left out; the second if too m
 # finite filter in the place of B would change M by 1e-4
 # of the terms of a Gramian, at most: a pole within 1e-14 of the circle rings so long
 DOUBLINGS = 50
-ROUNDING = 1e-17  # of a Gramian's factor, relative: what is less is not added
-PASSES = 3  # levels of groups of GROUP, up to 512 models, each of which adds its error
-FREQUENCIES = 128  # at which P* P is compared, beside those of the poles
+ROUNDING_OF_GRAMIAN = 1e-17  # of a Gramian's factor, relative: what is less is not added
+LEVELS_OF_GROUPS = 3  # levels of groups of GROUP, up to 512 models, each of which adds its error
+COMPARED_FREQUENCIES = 128  # at which P* P is compared, beside those of the poles
 
 
 class Pooled(NamedTuple):
@@ -62,22 +62,27 @@ def pooled(models, b, change) -> Pooled:
     if count == 1:
         return Pooled(models[0], np.eye(p))
     poles = np.concatenate([model.poles() for model in models])
-    grid = np.linspace(0, np.pi, FREQUENCIES)
+    grid = np.linspace(0, np.pi, COMPARED_FREQUENCIES)
     omega = np.append(grid, np.abs(np.angle(poles))) / models[0].dt
     P = np.array([frequency_response(model, omega) for model in models])
     size = np.linalg.norm(P, 2, axis=(2, 3)).max()
     error = change * b**2 / (1.25 * size)
-    share = 1 / np.sqrt(count)
-    groups = [Pooled(model * share, np.eye(p) * share) for model in models]
+    few = _with_few_states(models, error)
+    differs = _square(frequency_response(few.P, omega)) - _square(P).mean(axis=0)
+    if largest_singular_values(differs).max() <= 2 * LEVELS_OF_GROUPS * error * size:
+        return few
+    return Pooled(control.append(*models) * isometry(count, m), isometry(count, p))
+
+
+def _with_few_states(models, error) -> Pooled:
+    """Several models, group by group; P then differs by LEVELS_OF_GROUPS times `error` at most."""
+    share = 1 / np.sqrt(len(models))
+    groups = [Pooled(model * share, np.eye(model.noutputs) * share) for model in models]
     while len(groups) > 1:
         parts = [groups[k : k + GROUP] for k in range(0, len(groups), GROUP)]
         # errors of outputs that stand one below the other add by their squares
         groups = [_joined(part, error / np.sqrt(len(parts))) for part in parts]
-    found = frequency_response(groups[0].P, omega)
-    differs = _square(found) - _square(P).mean(axis=0)
-    if largest_singular_values(differs).max() <= 2 * PASSES * error * size:
-        return groups[0]
-    return Pooled(control.append(*models) * isometry(count, m), isometry(count, p))
+    return groups[0]
 
 
 def _square(P):
@@ -112,7 +117,7 @@ def _gramian_factor(A, B):
     X, power = B, A
     for _ in range(DOUBLINGS):
         further = power @ X
-        if np.linalg.norm(further) <= ROUNDING * np.linalg.norm(X):
+        if np.linalg.norm(further) <= ROUNDING_OF_GRAMIAN * np.linalg.norm(X):
             break
         X = np.hstack([X, further])
         if X.shape[1] > len(A):

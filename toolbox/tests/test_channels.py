@@ -121,7 +121,7 @@ def test_the_optimum_of_K_is_that_of_another_solver(p, m):
     problem = posed(plant(p, m), Q, omega, order=4, M_max=0.8, band=(0.02, 0.5), base="auto")
     P, B = response(plant(p, m), omega), problem.base.frequency_response(omega)
     square = P @ B if m >= p else (B @ P).swapaxes(1, 2)
-    square = square * np.exp(1j * (problem.first - 1) * omega)[:, None, None]
+    square = square * np.exp(1j * (problem.first_sample - 1) * omega)[:, None, None]
     bounds = {"M_max": 0.8, "L_max": 4.0}  # of K, as sigma_max(B) does not bind
     _, value = statement(square, problem.Q, omega, 1.0, order=4, band=(0.02, 0.5), **bounds)
     assert design.value == pytest.approx(value, abs=2e-6)  # Clarabel's accuracy

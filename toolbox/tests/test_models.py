@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import furnace
 
 from ilctools import minimal_realisation
-from ilctools.models import frequency_response
+from ilctools.models import frequency_response, sampled_plant
 
 
 @given(st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1))
@@ -39,3 +40,12 @@ REFUSED = [  # a call, and how the error begins
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         call()
+
+
+def test_a_long_delay_turns_the_phase_of_what_follows():
+    """Where most of a triangular matrix is zero, substitution leaves it out."""
+    theta = np.linspace(0.01, np.pi, 50)
+    exact = np.exp(-300j * theta) * 0.1 / (np.exp(1j * theta) - 0.95)
+    response = frequency_response(sampled_plant(furnace(300, gain=0.5)), theta)[:, 0, 0]
+    # rounding of 1e-16 in sums of some 300 terms whose sizes sum to one
+    assert np.allclose(response, exact, rtol=0, atol=1e-12)

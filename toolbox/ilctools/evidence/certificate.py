@@ -11,13 +11,13 @@ import numpy as np
 
 from ilctools.evidence import report
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
-from ilctools.evidence.finite import settled_norm
+from ilctools.evidence.finite import SettledTrial, settled_trial
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound
 from ilctools.evidence.peak import (
     BELOW,
-    CLOSE,
     DEAF,
+    PEAK_TOLERANCE,
     Peak,
     dense_grid,
     highest,
@@ -28,7 +28,6 @@ from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import Filter
 from ilctools.findings import Finding
 from ilctools.problem.bounds import Claim
-from ilctools.problem.defaults import lead
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.plausible import doubts
 from ilctools.problem.problem import Problem, Solution
@@ -36,18 +35,17 @@ from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
-GAP = 1e-6
-VIOLATION = 1e-9
+GAP_ACCEPTED = 1e-6
+VIOLATION_ACCEPTED = 1e-9
 BELOW_ONE = np.nextafter(1, 0)  # one is no longer monotone
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
-COARSE = 0.25
-FINE = 2000  # frequencies of the mean over the band
-LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
+ROOM_PASSED = 0.25
+FREQUENCIES_OF_MEAN = 2000  # frequencies of the mean over the band
 # Share of the strongest direction of P, at each frequency up to the cut-off, from which on the
 # weakest may be a difference of two sensors that are nearly the same
 ALIKE = 3e-3
-IDLE = 0.9  # share of the error in the band from which on learning counts as idle
+IDLE_FROM = 0.9  # share of the error in the band from which on learning counts as idle
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +56,7 @@ class Certificate:
     """
 
     problem: Problem  # as stated
-    grid: Problem  # at all frequencies at which it needed bounds
+    problem_on_grid: Problem  # at all frequencies at which it needed bounds
     scaled_filter: Filter  # in units of scale, as P is
     value: float  # the objective reached
     worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
@@ -75,7 +73,7 @@ class Certificate:
         """The largest value on the grid of what a claim is about."""
         if claim.matrix == "M":
             return self.grid_M
-        return float(self.sigma_L[claim.holds_at(self.grid.omega)].max(initial=0))
+        return float(self.sigma_L[claim.holds_at(self.problem_on_grid.omega)].max(initial=0))
 
     def anywhere(self, claim: Claim) -> float:
         """The largest value at all frequencies of what a claim is about."""
@@ -93,12 +91,12 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """An upper bound of sigma_max(M), to CLOSE; an estimate if it is not proven."""
+        """An upper bound of sigma_max(M), to PEAK_TOLERANCE; an estimate if it is not proven."""
         return self.peak.sigma
 
     @cached_property
     def all_L(self) -> float:
-        """An upper bound of sigma_max(L), to CLOSE, for all frequencies."""
+        """An upper bound of sigma_max(L), to PEAK_TOLERANCE, for all frequencies."""
         return peak_of_L(self.scaled_filter)[0]
 
     @property
@@ -128,7 +126,11 @@ class Certificate:
         omega = np.concatenate([problem.omega, peaks, *grids])
         own = self._at(omega, plants)
         # what the eigenvalues do not have: what splines may miss, and what is assumed beyond
-        least = {"estimated": max(1, own.sigma.max() * (1 + CLOSE)), "assumed": 1, BELOW: 1}
+        least = {
+            "estimated": max(1, own.sigma.max() * (1 + PEAK_TOLERANCE)),
+            "assumed": 1,
+            BELOW: 1,
+        }
         unknown = [self.peaks[how].sigma >= least[how] for how in least.keys() & self.peaks]
         return Convergence(
             problem.omega,
@@ -138,7 +140,7 @@ class Certificate:
             spectral_radius=float(own.spectral_radius.max()),
             proven=self.proven,
             uncertain=problem.radius is not None or any(unknown),
-            assumptions=problem.assumptions,
+            assumptions=tuple(map(str, problem.assumptions)),
         )
 
     def _at(self, omega, plants):
@@ -155,7 +157,7 @@ class Certificate:
         if band is None or band[0] <= 0:
             return np.nan
         if self.problem.proven:  # trapezia between coarse frequencies are not enough
-            omega = np.union1d(omega, np.geomspace(*band, FINE))
+            omega = np.union1d(omega, np.geomspace(*band, FREQUENCIES_OF_MEAN))
         return float(log_mean(self._at(omega, [0]).sigma[0], omega, band))
 
     @cached_property
@@ -172,19 +174,19 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
-        return (self.value - self.lower_bound) / self.grid.unit(self.value)
+        """Distance of value and lower bound, relative to :meth:`.Problem.gap_scale`."""
+        return (self.value - self.lower_bound) / self.problem_on_grid.gap_scale(self.value)
 
     @property
     def failures(self) -> list[Finding]:
         """What does not hold; empty if all does."""
         problem = self.problem
-        judged = [  # values that may be so many times their limit
-            (1, Finding("gap", self.gap, GAP)),
-            *((1 + VIOLATION, self._judged("on the grid", c)) for c in problem.bounds.claims),
-        ]
+        rooms = {"on the grid": 1 + VIOLATION_ACCEPTED}
         if problem.bounds.everywhere:
-            judged += [(1 + CLOSE, self._judged("everywhere", c)) for c in problem.bounds.claims]
+            rooms["everywhere"] = 1 + PEAK_TOLERANCE
+        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # by how many limits a value may be
+        for code, room in rooms.items():
+            judged += [(room, self._judged(code, claim)) for claim in problem.bounds.claims]
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
         for how in codes.keys() & self.peaks:
             peak = self.peaks[how]
@@ -203,28 +205,15 @@ class Certificate:
     def warnings(self) -> list[Finding]:
         """What speaks against the problem, and against what is said between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
-        found, signals = [*problem.findings, *problem.costs], response.signals
-        outputs, _ = response.names
-        units = {signals.units.get(name, "") for name in outputs} - {""}
-        if len(units) > 1 and problem.scale.is_one:
-            found.append(Finding("units", len(units), 1, ", ".join(sorted(units))))
-        if response.directions is not None:
-            place = response.directions.in_words(*response.names)
-            found.append(
-                Finding("directions", problem.channels, min(map(len, problem.scale)), place)
-            )
-        found += _alike(problem)
-        found += doubts(response)
-        if response.models[0] is None and response.low is None:  # else signals say what leads
-            ahead = lead(response.P[0], response.omega, response.Ts)
-            found += [Finding("lead", ahead, LEAD)] if ahead > LEAD else []
-        if BELOW in self.peaks and self.peaks[BELOW].sigma > BELOW_ONE:
-            below = f"below {problem.omega[0]:.4g} rad/s"
-            found.append(Finding("below", self.peaks[BELOW].sigma, 1, below))
-        if problem.objective.kind == "sum" and self.value > IDLE * problem.idle:
-            found.append(Finding("idle", self.value / problem.idle, IDLE))
+        found = [*problem.findings, *problem.costs, *_alike(problem), *doubts(response)]
+        below = self.peaks.get(BELOW)
+        if below is not None and below.sigma > BELOW_ONE:
+            place = f"below {problem.omega[0]:.4g} rad/s"
+            found.append(Finding("below", below.sigma, 1, place))
+        if problem.objective.kind == "sum" and self.value > IDLE_FROM * problem.idle:
+            found.append(Finding("idle", self.value / problem.idle, IDLE_FROM))
         code, known = ("between", problem.M_max) if self.proven else ("samples", self.grid_M)
-        passed = peak.sigma - known > COARSE * (1 - known)
+        passed = peak.sigma - known > ROOM_PASSED * (1 - known)
         if passed and not (self.proven and (self.failures or DEAF in self.peaks)):
             found.append(Finding(code, peak.sigma, known, self.place(peak)))
         return found
@@ -235,15 +224,12 @@ class Certificate:
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
     @cached_property
-    def trial(self) -> tuple[int, float]:
-        """Samples of a settled trial, and its largest norm; NaN unless P and Q are models.
-
-        Of several plants it is the largest over all of them, see :mod:`.worst_trial`.
-        """
+    def settled_trial(self) -> SettledTrial:
+        """A trial, and its largest norm among the plants; NaN unless P and Q are models."""
         problem = self.problem
-        if None in problem.response.models or isinstance(problem.lowpass, SampledQ):
-            return 0, np.nan
-        return settled_norm(problem.response.models, problem.lowpass, self.scaled_filter)
+        if problem.response.sampled or isinstance(problem.lowpass, SampledQ):
+            return SettledTrial(0, np.nan)
+        return settled_trial(problem.response.models, problem.lowpass, self.scaled_filter)
 
     def __repr__(self):
         return report.printed(self)
@@ -272,13 +258,14 @@ class Certificate:
         return self._highest_without(BELOW).sigma
 
 
-def _alike(problem) -> list[Finding]:
+def _alike(problem):
     """Whether P passes next to nothing in one direction, against another, up to Q's cut-off."""
-    below = problem.omega <= max(problem.lowpass.cutoff, problem.omega[0])
+    cutoff = problem.lowpass.cutoff
+    below = problem.omega <= max(cutoff, problem.omega[0])
     values = np.linalg.svd(problem.P[below], compute_uv=False)
     share = (values[:, -1] / values[:, 0]).max()
-    place = f"up to {problem.lowpass.cutoff:.4g} rad/s"
-    return [Finding("alike", share, ALIKE, place)] if share < ALIKE else []
+    if share < ALIKE:
+        yield Finding("alike", share, ALIKE, f"up to {cutoff:.4g} rad/s")
 
 
 def check(

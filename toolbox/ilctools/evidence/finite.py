@@ -4,6 +4,7 @@ Lemma 1 is about signals without end; here the two ends of the trial are include
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse.linalg as sparse
@@ -16,13 +17,13 @@ from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.signals import check_match
 
 SETTLED = 0.02  # of a disturbance
-SHORTEST, LONGEST = 50, 1000  # samples of a trial; longer ones of several plants take seconds
+SHORTEST_TRIAL, LONGEST_TRIAL = (50, 1000)  # samples; longer trials of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
 # Rounds of it, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows: it takes
 # no longer. Many directions that grow alike, as those that a long delay leaves alone, need it.
 ROUNDS, DENSE = 60, 1000
 MOST_REACHED = 4000  # numbers in v, of which a basis takes 10 s
-RANK = 1e-10  # of the largest singular value of Q_N L_N: what is less is rounding
+RANK_TOLERANCE = 1e-10  # of the largest singular value of Q_N L_N: what is less is rounding
 
 
 def trial_operators(
@@ -133,9 +134,10 @@ def trial_norm(
     -------
     norm : float
         Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||; with more inputs than outputs, among
-        those that Q L makes of errors, see :func:`reached`. Below one for trials = 1, v converges
-        monotonically. Lanczos approaches it from below, or a RuntimeError says that it does not
-        converge; short trials have an SVD, and those of up to 1000 values where Lanczos needs long.
+        those that Q L makes of errors, see :func:`learned_basis`. Below one for trials = 1, v
+        converges monotonically. Lanczos approaches it from below, or a RuntimeError says that it
+        does not converge; short trials have an SVD, and those of up to 1000 values where Lanczos
+        needs long.
     before, after : ndarray, shape (samples, m)
         The unit v_k - v_inf that is amplified most, and what becomes of it.
 
@@ -158,14 +160,14 @@ def trial_norm(
     if L.rows <= L.columns:
         norm, before, after = _largest(T)
     else:
-        basis = sparse.aslinearoperator(reached(Q, L, samples, rest))
+        basis = sparse.aslinearoperator(learned_basis(Q, L, samples, rest))
         norm, before, after = _largest(T @ basis)
         before = basis @ before
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
 @lru_cache(maxsize=4)
-def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.ndarray:
+def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.ndarray:
     """Orthonormal columns that span what Q_N L_N makes of errors.
 
     With more inputs than outputs, P_N maps most v to zero. Such a v shrinks by Q_N alone, so that
@@ -182,7 +184,7 @@ def reached(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.n
     made = Q.apply(L.apply(errors))
     made[:, samples - rest :] = 0
     U, S, _ = np.linalg.svd(made.reshape(len(made), -1).T, full_matrices=False)
-    return U[:, RANK * S[0] < S]
+    return U[:, RANK_TOLERANCE * S[0] < S]
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
@@ -204,25 +206,32 @@ def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
     return float(np.linalg.norm(after)), before, after
 
 
-def settled_norm(plants, Q: ZeroPhaseButterworth, L: Filter) -> tuple[int, float]:
-    """Samples of a trial, ten times as long as the plants settle or LONGEST; its largest norm.
+class SettledTrial(NamedTuple):
+    """A trial that is long enough to show what v does."""
 
-    At least twice as long as the plants delay, or no trial would show what v does.
-    Of all plants, by one iteration where there are several.
+    samples: int  # none, if the plants or Q are no models
+    norm: float  # the largest 2-norm of :func:`trial_map` among the plants
+
+
+def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
+    """A trial ten times as long as plants settle and twice as long as they delay, within limits.
+
+    Its norm is found by one iteration for all plants where there are several.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
     settled = max(10 * settled, *(2 * _delay(P) for P in plants))
-    samples = int(min(settled + SHORTEST, LONGEST / L.rows))
+    samples = int(min(settled + SHORTEST_TRIAL, LONGEST_TRIAL / L.rows))
     if len(plants) == 1:
-        return samples, trial_norm(plants[0], Q, L, samples)[0]
-    basis = reached(Q, L, samples, rest=0) if L.rows > L.columns else None
-    return samples, largest_trial_norm(plants, Q, L, samples, basis)
+        norm, *_ = trial_norm(plants[0], Q, L, samples)
+        return SettledTrial(samples, norm)
+    basis = learned_basis(Q, L, samples, rest=0) if L.rows > L.columns else None
+    return SettledTrial(samples, largest_trial_norm(plants, Q, L, samples, basis))
 
 
 def _delay(P):
     """Samples after which a model answers at the latest, in each of its entries that answers."""
-    answers = impulse_response(P, LONGEST) != 0
+    answers = impulse_response(P, LONGEST_TRIAL) != 0
     return answers.argmax(axis=0).max()
 
 

@@ -12,10 +12,11 @@ with them.
 M can have a narrow crest wherever P or L changes within a narrow band: at a mode of P, which is a
 pole of P, and at an antiresonance of P, where L = B K has poles. Q and L are therefore computed on
 a grid that is dense in the phase of their poles, and each plant on a grid that is dense in the
-phase of its own poles. Splines hold between. The height of a crest follows from the parabola
-through its three highest points. The poles of a table are not known, and its samples decide: a mode
-that is narrower than a step of omega is not seen. Above the last sample a table counts as it does
-in the certificate. The margin of the time scale leaves out what would come from there.
+phase of its own poles. Q and L are splined between. M is computed at the tops of its crests, too,
+which are where the parabolas through their three highest points have them. The poles of a table are
+not known, and its samples decide: a mode that is narrower than a step of omega is not seen. Above
+the last sample a table counts as it does in the certificate. The margin of the time scale leaves
+out what would come from there.
 
 The search goes outwards in steps to the first that fails, and then by Brent's method. It ends with
 ten times the gain, eight times the time, a turn of the phase. In g and r sigma_max is convex, so
@@ -32,6 +33,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
+from ilctools.evidence.peak import with_tops
 from ilctools.evidence.robustness import within_radius
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.problem import Problem
@@ -44,13 +46,13 @@ GAINS = np.array([1.0, 10.0])  # the last is where the search ends, as of the fo
 TIMES = 1 + np.append(0, np.geomspace(1e-3, 7, 23))
 RADII = np.array([0.0, 10.0])  # of sigma_max(P) at the cut-off
 TURN = np.linspace(0, 2 * np.pi, 33)  # of the phase at the cut-off, by a delay
-STEP = np.pi / 20  # of the phase of poles, from one frequency to the next
-MOST = 8000  # frequencies for the poles of L: of a finite filter of thousands of samples fewer
-PARTS = 4  # frequencies for each sample of a table, whose splines miss most halfway
-LEVEL = 0.98  # from 0.99 of which on a worst case is exact, and crests have their parabolas
+PHASE_STEP = np.pi / 20  # of the phase of poles, from one frequency to the next
+MOST_FOR_L = 8000  # frequencies for the poles of L: fewer than a filter of thousands of samples has
+PARTS = 4  # frequencies for each sample of a table, which splines miss most halfway
+LEVEL = 0.98  # of crests whose tops are looked for; from 0.99 of it on a worst case is exact
 ONE = 1 + 1e-9  # what rounding makes of one
 TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)
-CLOSE = 1e-4  # relative, of a limit: it is printed with two digits
+LIMIT_TOLERANCE = 1e-4  # relative, of a limit: it is printed with two digits
 
 
 @dataclass(frozen=True)
@@ -113,8 +115,8 @@ def _up_to_root(excess, steps):
     if not outside:
         return steps if outside is None else steps[:1]
     inner, outer = steps[outside - 1], steps[outside]
-    root = brentq(excess, inner, outer, xtol=CLOSE**2 * abs(steps[1] - steps[0]))
-    return np.append(steps[:outside], root + CLOSE * (steps[0] - root))
+    root = brentq(excess, inner, outer, xtol=LIMIT_TOLERANCE**2 * abs(steps[1] - steps[0]))
+    return np.append(steps[:outside], root + LIMIT_TOLERANCE * (steps[0] - root))
 
 
 class Filters(NamedTuple):
@@ -131,9 +133,11 @@ def _filters(problem, L) -> Filters:
     if isinstance(lowpass, ZeroPhaseButterworth):
         poles.append(lowpass.poles)
     turn = float(phase(L.poles, np.array([np.pi]))[0])
-    omega = phase_grid(poles, max(STEP, turn / MOST)) / problem.Ts
+    omega = phase_grid(poles, max(PHASE_STEP, turn / MOST_FOR_L)) / problem.Ts
     ends = _ends(problem.response)[0], np.pi / problem.Ts
-    omega = _apart([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
+    omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
+    # of two that are nearly the same one: between them, a slope would be rounding
+    omega = omega[np.append(True, np.diff(omega) > SAME_FREQUENCY * omega[1:])]
     return Filters(omega, *(CubicSpline(omega, f.frequency_response(omega)) for f in (lowpass, L)))
 
 
@@ -141,58 +145,37 @@ class Perturbed:
     """A plant with something changed, behind filters."""
 
     def __init__(self, response: Response, number: int, filters: Filters):
+        self.response, self.number, self.filters = response, number, filters
         model, (first, last) = response.models[number], response.omega[[0, -1]]
-        self.filters, self.Ts, self.ends = filters, response.Ts, _ends(response)
-        # the last frequencies before a radius begins, or ends
-        self.jumps = np.array([np.nextafter(first, 0), last])
         if model is None:
             own = subdivided(response.omega, PARTS)
         else:
-            own = phase_grid([model.poles()], STEP) / response.Ts
-        knots = _apart([*filters.omega, *own])
-        omega = np.unique([*knots, *self.jumps, np.nextafter(last, np.inf)])
-        self.omega = omega[(omega >= self.ends[0]) & (omega <= filters.omega[-1])]
-        P, self.radius = response.anywhere(number, self.omega)
-        # not beside a jump, see `_apart`
-        known = (self.omega <= self.ends[1]) & np.isin(self.omega, knots)
-        self.P = CubicSpline(self.omega[known], P[known])
+            own = phase_grid([model.poles()], PHASE_STEP) / response.Ts
+        # with a radius, on both sides of where it begins and ends
+        self.omega = np.unique(
+            [*own, np.nextafter(first, 0), first, last, np.nextafter(last, np.inf)]
+        )
 
     def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
         """Of sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""
-        (low, high), nyquist = self.ends, self.filters.omega[-1]
+        low, high = _ends(self.response)
+        first, *_, nyquist = self.filters.omega
+
+        def sigma_M(omega):
+            there = np.clip(slower * omega, low, nyquist)
+            P, of_P = self.response.anywhere(self.number, there)
+            P = gain * np.exp(-1j * omega * delay * self.response.Ts)[:, None, None] * P
+            Q, L = self.filters.Q(omega), self.filters.L(omega)
+            return within_radius(P, Q, L, gain * of_P + radius, LEVEL)
+
         omega = np.union1d(self.filters.omega, self.omega / slower)
         known = (slower * omega <= high) | (slower == 1)
-        omega = omega[known & (omega <= nyquist)]
-        there = np.clip(slower * omega, low, nyquist)
-        P = gain * self.P(np.minimum(there, high))
-        P *= (np.exp(-1j * omega * delay * self.Ts) * (there <= high))[:, None, None]
-        radius = gain * np.interp(there, self.omega, self.radius) + radius
-        sigma = within_radius(P, self.filters.Q(omega), self.filters.L(omega), radius, LEVEL)
-        return highest(omega, sigma, self.jumps / slower)
-
-
-def _apart(omega):
-    """Frequencies without repetition: between two that are the same, a slope would be rounding."""
-    omega = np.unique(omega)
-    return omega[np.append(True, np.diff(omega) > SAME_FREQUENCY * omega[1:])]
+        omega = omega[(omega >= first) & (omega <= nyquist) & known]
+        _, sigma = with_tops(sigma_M, omega, LEVEL)
+        return float(sigma.max())
 
 
 def _ends(response):
     """Between which frequencies P is known, rad/s; without end also where Nyquist's is the last."""
     first = response.omega[0] if response.sampled else 0.0
     return first, np.inf if response.beyond is None else response.omega[-1]
-
-
-def highest(omega, sigma, jumps) -> float:
-    """The highest of some crests, by the parabolas through three points, (n,).
-
-    Over a jump, which comes after a frequency, no parabola is laid.
-    """
-    steps, wide = np.diff(omega), omega[2:] - omega[:-2]
-    slopes, side = np.diff(sigma) / steps, np.searchsorted(jumps, omega)
-    before, after = slopes[:-1], slopes[1:]
-    slope = (before * steps[1:] + after * steps[:-1]) / wide
-    here = sigma[1:-1]
-    crest = (here > LEVEL) & (before > 0) & (after <= 0) & (side[2:] == side[:-2])
-    more = slope[crest] ** 2 * wide[crest] / (4 * (before - after)[crest])
-    return float(max(sigma.max(), (here[crest] + more).max(initial=0)))

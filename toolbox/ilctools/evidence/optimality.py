@@ -6,7 +6,7 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 import numpy as np
 from scipy.special import expit
 
-from ilctools.evidence.robustness import FARTHEST
+from ilctools.evidence.robustness import MOST_UNEQUAL
 from ilctools.problem.problem import Cuts, Problem
 
 HALVINGS = 40  # of the distance of such logarithms
@@ -109,7 +109,7 @@ def dual_norm(N) -> np.ndarray:
         return _nuclear_norms(N)
     size = np.linalg.norm(N, axis=(1, 2))
     N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
-    low, high = np.full((2, count), [[-FARTHEST], [FARTHEST]])
+    low, high = np.full((2, count), [[-MOST_UNEQUAL], [MOST_UNEQUAL]])
     for _ in range(HALVINGS):
         t = (low + high) / 2
         c, trace = _costs(N, t)

@@ -50,32 +50,32 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from ilctools import arguments
-from ilctools.evidence.robustness import NEAR, within_radius
+from ilctools.evidence.robustness import NEAR_LEVEL, within_radius
 from ilctools.filters import LONG, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import frequency_response, schur_form
+from ilctools.problem.grid import FREQUENCIES_PER_SAMPLE
 from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
 from ilctools.singular_values import TIED, largest_singular_values
 
-FINE = 0.01  # in phi, of a grid on which a peak is read off: crests between are 1e-5 higher
-STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
+FINE_PHASE_STEP = 0.01  # in phi, of a grid to read a peak from: crests between are 1e-5 higher
+FIRST_PHASE_STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
 # where the peak may be higher than all values so far, each step is divided, and again: h is then
 # 0.002, and the bound 5e-7 above the peak
-PARTS, PASSES = 16, 3
-MOST = 300_000  # frequencies in a pass: fewer passes, where a base of thousands of samples is flat
-CLOSE = 1e-6  # relative, by how much such a bound may be above the peak
+PARTS, PASSES_OF_A_PROOF = 16, 3
+MOST_IN_A_PASS = 300_000  # frequencies: fewer passes for a flat base of thousands of samples
+PEAK_TOLERANCE = 1e-6  # relative, by how much such a bound may be above the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
-DEAF, NOTHING = "where P passes nothing", 1e-3  # of P L
+DEAF, PASSES_NOTHING = "where P passes nothing", 1e-3  # of P L
 BELOW = "assumed below the first sample"
-DENSER = 10  # the grid between the samples, against theirs
 
 
 def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
     """Peak of sigma_max(L) over all frequencies from the lowest on, and where it is.
 
     Proven over all frequencies. From another lowest one on, it is the largest value on a grid with
-    steps of `FINE` in the phase of L, and at the tops of its crests.
+    steps of `FINE_PHASE_STEP` in the phase of L, and at the tops of its crests.
     """
 
     def sigma(omega):
@@ -83,11 +83,9 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
 
     if lowest <= 0:
         return proven_peak(sigma, L.poles, L.Ts)
-    grid = phase_grid([L.poles], FINE, MOST)
+    grid = phase_grid([L.poles], FINE_PHASE_STEP, MOST_IN_A_PASS)
     omega = np.append(lowest, grid[grid > lowest * L.Ts] / L.Ts)
-    values = sigma(omega)
-    if len(crests := tops(omega, values, NEAR * values.max())):
-        omega, values = np.append(omega, crests), np.append(values, sigma(crests))
+    omega, values = with_tops(sigma, omega)
     return float(values.max()), float(omega[values.argmax()])
 
 
@@ -109,15 +107,15 @@ def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float
 def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
     """Peak over all frequencies of a sigma with these poles, an upper bound; where it is, rad/s."""
     arguments.stable("system", poles)
-    theta, peak, place = phase_grid([poles], STEP)[None], 0.0, 0.0
-    for _ in range(PASSES):
+    theta, peak, place = phase_grid([poles], FIRST_PHASE_STEP)[None], 0.0, 0.0
+    for _ in range(PASSES_OF_A_PROOF):
         values = sigma(theta.ravel() / Ts).reshape(theta.shape)
         if values.max() > peak:
             peak, place = values.max(), theta.ravel()[values.argmax()]
         h = np.diff(phase(poles, theta.ravel()).reshape(theta.shape))
         bound = np.maximum(values[:, 1:], values[:, :-1]) / np.cos(np.minimum(h, np.pi) / 2)
         high = bound > peak
-        if not high.any() or high.sum() * PARTS > MOST:
+        if not high.any() or high.sum() * PARTS > MOST_IN_A_PASS:
             break
         parts = np.linspace(0, 1, PARTS + 1)
         theta = theta[:, :-1][high][:, None] + parts * np.diff(theta)[high][:, None]
@@ -134,7 +132,7 @@ def in_parts(function, points, size):
 class Peak:
     """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
 
-    sigma: float  # an upper bound, to CLOSE, if proven
+    sigma: float  # an upper bound, to PEAK_TOLERANCE, if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
 
@@ -163,21 +161,8 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
 def estimated_peaks(problem: Problem, L, level, k):
     """Those of plant k between, below and above P's frequencies, and how they are known."""
     response = problem.response
-
-    def sigma_M(omega):
-        (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
-        of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
-        sigma = within_radius(P, Q, of_L, radius, level)
-        if (low := response.unsampled(k, omega)).any():
-            region, Q, of_L = response.samples[k].below(omega[low]), Q[low], of_L[low]
-            moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
-            sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
-        return sigma
-
-    omega = dense_grid(response, k, L)
-    sigma = sigma_M(omega)
-    if len(top := tops(omega, sigma, NEAR * level)):
-        omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
+    sigma_M = partial(_sigma_M, problem, L, level, k)
+    omega, sigma = with_tops(sigma_M, dense_grid(response, k, L), NEAR_LEVEL * level)
     below, above = response.unsampled(k, omega), omega > response.omega[-1]
     for how, there in (("estimated", ~below & ~above), (BELOW, below), ("assumed", above)):
         if there.any():
@@ -185,20 +170,42 @@ def estimated_peaks(problem: Problem, L, level, k):
             yield how, Peak(float(sigma[at]), float(omega[at]), k)
 
 
+def _sigma_M(problem, L, level, k, omega):
+    """sigma_max(M) of plant k within its radius, and within what is assumed below its samples."""
+    response = problem.response
+    (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
+    of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
+    sigma = within_radius(P, Q, of_L, radius, level)
+    if (low := response.unsampled(k, omega)).any():
+        region, Q, of_L = response.samples[k].below(omega[low]), Q[low], of_L[low]
+        moves = np.abs(Q) * region.moves * largest_singular_values(region.W @ of_L)
+        sigma[low] = within_radius(region.P, Q, of_L, region.radius, 0) + moves
+    return sigma
+
+
 def passes(P, L, peak) -> bool:
     """Whether P L passes something at a peak; else M is |Q| there, and no L makes it less."""
-    if not 1 - NOTHING <= peak.sigma <= 1 + CLOSE:
+    if not 1 - PASSES_NOTHING <= peak.sigma <= 1 + PEAK_TOLERANCE:
         return True
     [of_P], [of_L] = frequency_response(P, [peak.omega]), L.frequency_response([peak.omega])
-    return np.linalg.norm(of_P, -2) * np.linalg.norm(of_L, 2) > NOTHING
+    return np.linalg.norm(of_P, -2) * np.linalg.norm(of_L, 2) > PASSES_NOTHING
 
 
-def tops(omega, sigma, height) -> np.ndarray:
-    """Where crests of this height or more are highest, by the parabolas through three points."""
-    crests, _ = find_peaks(sigma, height=height, plateau_size=(1, 1))
-    (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, sigma))
+def with_tops(function, omega, height=None) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies with those of the tops of crests, and the values of a function there.
+
+    The tops are where the parabolas through three points have them; of crests of this height or
+    more, which is `NEAR_LEVEL` times the largest value by default.
+    """
+    values = function(omega)
+    height = NEAR_LEVEL * values.max() if height is None else height
+    crests, _ = find_peaks(values, height=height, plateau_size=(1, 1))
+    if not len(crests):
+        return omega, values
+    (a, b, c), (x, y, z) = (v[np.add.outer([-1, 0, 1], crests)] for v in (omega, values))
     left, right = (y - x) / (b - a), (z - y) / (c - b)
-    return (a + b) / 2 - left * (c - a) / (right - left) / 2
+    tops = (a + b) / 2 - left * (c - a) / (right - left) / 2
+    return np.append(omega, tops), np.append(values, function(tops))
 
 
 def dense_grid(response: Response, number, L) -> np.ndarray:
@@ -208,13 +215,15 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
     """
     model, (low, *_, high) = response.models[number], response.omega
     grids = [
-        subdivided(response.omega, DENSER),
-        phase_grid([L.poles], np.pi / DENSER) / response.Ts,
+        subdivided(response.omega, FREQUENCIES_PER_SAMPLE),
+        phase_grid([L.poles], np.pi / FREQUENCIES_PER_SAMPLE) / response.Ts,
     ]
     if model is not None:
-        grids.append(phase_grid([model.poles()], np.pi / (2 * DENSER)) / response.Ts)
+        grids.append(
+            phase_grid([model.poles()], np.pi / (2 * FREQUENCIES_PER_SAMPLE)) / response.Ts
+        )
     else:
-        grids.append(np.linspace(0, np.nextafter(low, 0), 1 + DENSER))
+        grids.append(np.linspace(0, np.nextafter(low, 0), 1 + FREQUENCIES_PER_SAMPLE))
         low = 0
         if response.beyond is not None:
             grids.append([np.nextafter(high, np.inf)])

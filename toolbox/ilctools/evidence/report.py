@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from ilctools.evidence.peak import BELOW, CLOSE, DEAF
+from ilctools.evidence.peak import BELOW, DEAF, PEAK_TOLERANCE
 from ilctools.problem.plausible import at_rest_in_words
 from ilctools.problem.problem import K_MAX
 from ilctools.problem.reference import unreachable_rms
+from ilctools.response.samples import Assumed
 from ilctools.singular_values import TIED
 
 PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # of which the RMS is printed, where a reference is given
@@ -14,17 +15,18 @@ PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # of which the RMS is printed, where a refe
 def printed(certificate) -> str:
     """What a user asks first: the rate, margins, gains, and what limits them."""
     problem = certificate.problem
-    assumed = [text for text in problem.assumptions if text.startswith("assumed: ")]
+    known = [line for line in problem.assumptions if not isinstance(line, Assumed)]
+    all_known = len(known) == len(problem.assumptions)
     lines = [
         _rate(certificate),
-        *([repr(certificate.margins)] if certificate.rate <= 1 + CLOSE else []),
+        *([repr(certificate.margins)] if certificate.rate <= 1 + PEAK_TOLERANCE else []),
         ", ".join(_gains(certificate)),
         *_unequal(certificate),
         "; ".join([_limits(certificate), *_mean(certificate)]),
         *_deaf(certificate),
-        *(text for text in problem.assumptions if text not in assumed),
+        *map(str, known),
         *_below(certificate),
-        *(["assumptions: .certificate.details"] if assumed else []),
+        *([] if all_known else ["assumptions: .certificate.details"]),
     ]
     return "\n".join([*lines, *_against(certificate)])
 
@@ -50,13 +52,14 @@ def details(certificate) -> str:
         (certificate.lower_bound, "lower bound of the objective"),
     ]
     lines = [f"{value:<11.5g}{what}" for value, what in table]
-    return "\n".join([*lines, *_mean(certificate), *problem.assumptions, *_against(certificate)])
+    assumptions = map(str, problem.assumptions)
+    return "\n".join([*lines, *_mean(certificate), *assumptions, *_against(certificate)])
 
 
 def _rate(certificate):
     """The rate, for whom it holds and where it is attained."""
     problem, peak = certificate.problem, certificate.highest_peak
-    near = certificate.grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
+    near = certificate.problem_on_grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
     at = np.append(near, peak.omega).min()
     where = ", proven" if certificate.proven else f" {_span(problem.omega)}, estimated"
     if BELOW in certificate.peaks:
@@ -78,17 +81,17 @@ def _whom(problem):
 
 def _gains(certificate):
     """P at rest, cut-off, delay, the gain of L for each of its bounds, the norm of a trial."""
-    problem, (samples, norm) = certificate.problem, certificate.trial
+    problem, trial = certificate.problem, certificate.settled_trial
     yield at_rest_in_words(problem.response)
     yield f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s"
-    yield f"where P lags by {problem.delay} samples"
+    yield f"where P lags by {problem.delay_samples} samples"
     yield f"sigma_max(L) {certificate.all_L:.3g}"
     for claim in problem.bounds.on("L"):
         if claim.lowest > 0:
             yield f"{claim.what} {certificate.anywhere(claim):.3g}"
-    if samples:
+    if trial.samples:
         of_which = ", over all v that errors lead to" if problem.m > problem.p else ""
-        yield f"norm of a trial of {samples} samples {norm:.3g}{of_which}"
+        yield f"norm of a trial of {trial.samples} samples {trial.norm:.3g}{of_which}"
 
 
 def _unequal(certificate):
@@ -131,7 +134,7 @@ def _limits(certificate):
     problem = certificate.problem
     if np.isnan(certificate.lower_bound):
         return "L = B by its formula, K = 1: nothing was optimised"
-    of_grid = zip(problem.bounds.claims, certificate.grid.bounds.claims, strict=True)
+    of_grid = zip(problem.bounds.claims, certificate.problem_on_grid.bounds.claims, strict=True)
     limits = [
         str(stated)
         for stated, on_grid in of_grid

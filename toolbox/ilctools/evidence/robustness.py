@@ -16,9 +16,9 @@ from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
-NEAR = 0.99  # share of a level from which on a worst case is worth its exact value
+NEAR_LEVEL = 0.99  # share of a level from which on a worst case is worth its exact value
 TO_ROUNDING = {"xatol": 0, "xrtol": 1e-11, "fatol": 0, "frtol": 1e-13}
-FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
+MOST_UNEQUAL = 40.0  # logarithm of the ratio of two shares: the smaller is then below rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +86,14 @@ def worst_sigma(problem, L, k, level):
 def within_radius(P, Q, L, radius, level):
     """The worst case at each frequency, (n,), of P, (n, p, m), and L, (n, m, p), within a radius.
 
-    Exact from `NEAR` times the level on, an upper bound below.
+    Exact from `NEAR_LEVEL` times the level on, an upper bound below.
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
     if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same of P^T and L^T
         M, rho_L = M.swapaxes(1, 2), rho_L.swapaxes(1, 2)
     wider = largest_singular_values(rho_L) if np.any(radius) else np.zeros(len(M))
     sigma = largest_singular_values(M) + wider
-    near = (sigma >= NEAR * level) & (wider > 0)
+    near = (sigma >= NEAR_LEVEL * level) & (wider > 0)
     if M.shape[1] > 1 and near.any():
         least = _least_bound(np.concatenate([M, rho_L], axis=1)[near])
         sigma[near] = np.fmin(sigma[near], least)
@@ -109,6 +109,6 @@ def _least_bound(G):
         root = np.sqrt(expit([-t, t])).T.repeat([m, G.shape[1] - m], axis=1)
         return largest_singular_values(G[i] / root[:, :, None])
 
-    end, numbers = np.full(len(G), FARTHEST), np.arange(len(G))
+    end, numbers = np.full(len(G), MOST_UNEQUAL), np.arange(len(G))
     bracket = -end, 0 * end, end
     return elementwise.find_minimum(bound, bracket, args=(numbers,), tolerances=TO_ROUNDING).f_x

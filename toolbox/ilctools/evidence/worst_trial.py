@@ -18,13 +18,13 @@ TOLERANCE = 1e-8  # relative residual of the eigenvector, as for one plant
 
 
 def largest_trial_norm(
-    plants, Q: ZeroPhaseButterworth, L: Filter, samples: int, reached=None
+    plants, Q: ZeroPhaseButterworth, L: Filter, samples: int, learned_basis=None
 ) -> float:
-    """The largest 2-norm of a trial among some plants; of all v, or of what `reached` spans."""
-    reached = eye_array(samples * L.rows) if reached is None else reached
-    maps = Maps(plants, Q, L, samples, reached)
-    size = len(plants) * reached.shape[1]
-    start = np.tile(np.random.default_rng(0).standard_normal(reached.shape[1]), len(plants))
+    """The largest 2-norm of a trial among some plants; of all v, or of those in `learned_basis`."""
+    learned_basis = eye_array(samples * L.rows) if learned_basis is None else learned_basis
+    maps = Maps(plants, Q, L, samples, learned_basis)
+    size = len(plants) * learned_basis.shape[1]
+    start = np.tile(np.random.default_rng(0).standard_normal(learned_basis.shape[1]), len(plants))
     normal = sparse.LinearOperator((size, size), matvec=maps.normal, dtype=float)
     options = {"ncv": min(LANCZOS, size), "tol": TOLERANCE, "return_eigenvectors": False}
     [largest] = sparse.eigsh(normal, 1, v0=start, **options)
@@ -34,8 +34,8 @@ def largest_trial_norm(
 class Maps:
     """The maps T_k of some plants, each on a signal of its own, (plants, samples, channels)."""
 
-    def __init__(self, plants, Q, L, samples, reached):
-        self.Q, self.reached = Q, reached
+    def __init__(self, plants, Q, L, samples, learned_basis):
+        self.Q, self.learned_basis = Q, learned_basis
         (p, m), self.length = plants[0].shape, next_fast_len(2 * samples)  # no sample wraps round
         self.of_v, self.of_e = (len(plants), samples, m), (len(plants), samples, p)
         units = np.eye(samples * p)
@@ -43,13 +43,13 @@ class Maps:
         self.H = rfft([impulse_response(P, samples) for P in plants], self.length, axis=1)
 
     def normal(self, coordinates) -> np.ndarray:
-        """T_k^T T_k v_k in the coordinates of `reached`, raveled."""
-        v = coordinates.reshape(len(self.H), -1) @ self.reached.T
+        """T_k^T T_k v_k in the coordinates of `learned_basis`, raveled."""
+        v = coordinates.reshape(len(self.H), -1) @ self.learned_basis.T
         changed = v - self.filtered(self.H, v.reshape(self.of_v)) @ self.L_N.T
         back = self.Q.apply_transposed(self.Q.apply(changed.reshape(self.of_v)))
         errors = (back.reshape(v.shape) @ self.L_N).reshape(self.of_e)
         result = back.reshape(v.shape) - self.filtered(self.H.conj().swapaxes(2, 3), errors)
-        return (result @ self.reached).ravel()
+        return (result @ self.learned_basis).ravel()
 
     def filtered(self, H, signals):
         """P_k v_k, or with H adjoint P_k^T e_k, (plants, samples channels)."""

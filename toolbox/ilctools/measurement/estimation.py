@@ -43,7 +43,7 @@ from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
 from ilctools.response.measured import CONFIDENCE, Measured
-from ilctools.response.samples import SAME_FREQUENCY
+from ilctools.response.samples import SAME_FREQUENCY, Assumed
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
@@ -225,9 +225,10 @@ class EstimatedResponse(Measured):
         lines = [
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
-            "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{self.fits[0].lags} lags, those of B after a delay and beside "
-            "two slow parts",
+            Assumed(
+                "the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
+                f"{self.fits[0].lags} lags, those of B after a delay and beside two slow parts"
+            ),
         ]
         if not self.known.all():
             low, high = self.omega[self.known][[0, -1]]
@@ -237,10 +238,11 @@ class EstimatedResponse(Measured):
             )
         first = self.omega[self.resolved][0]
         if self.omega[self.known][0] < first <= omega[0] * (1 + SAME_FREQUENCY):
-            lines.append(
-                f"assumed: below {first:.3g} rad/s, of which no period fits into a record, P need "
-                "not be known for the cut-off and the filter"
+            text = (
+                f"below {first:.3g} rad/s, of which no period fits into a record, P need not be "
+                "known for the cut-off and the filter"
             )
+            lines.append(Assumed(text))
         return lines
 
     def __repr__(self):

@@ -36,7 +36,7 @@ from ilctools.law.limits import commands_beyond
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.measurement.excitation import Excitation
 from ilctools.response.measured import Measured
-from ilctools.response.samples import Samples
+from ilctools.response.samples import Assumed, Samples
 
 # Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
 # radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
@@ -155,7 +155,7 @@ class ExcitedResponse(Measured):
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
             *self._between(omega, confidence),
-            *["assumed: P(0) = I"] * self.anchored,
+            *[Assumed("P(0) = I")] * self.anchored,
         )
 
     def __repr__(self):

@@ -19,26 +19,26 @@ from scipy.interpolate import make_interp_spline
 
 CHOOSE = "auto"  # in the place of L_max, of which None says that there is none
 REACH = 4  # samples that the filter looks ahead beyond the delay of P, times cutoff Ts
-FEWEST, MOST = 10, 60  # samples of the filter; with more the synthesis takes seconds,
-TAPS = 21  # of K, as many back as ahead: what is left for it when P B is nearly one
-LEFT = 20  # and is worth it only if fewer than these are left beyond the delay
+FEWEST_TAPS, MOST_TAPS = 10, 60  # samples of the filter; with more the synthesis takes seconds,
+TAPS_OF_K = 21  # of K, as many back as ahead: what is left for it when P B is nearly one
+LEFT_TAPS = 20  # and is worth it only if fewer than these are left beyond the delay
 # of the gain that inverts P: a finite filter overshoots it in some places to be close in others
 ROOM = 4
 COMPARED = 500  # frequencies, at most: n of them take n^2 numbers of memory
-# The same where it decides b = 1 / (2 L_max) of L = B: M is 1 / (1 + 4 CLOSE^2) then.
+# The same where it decides b = 1 / (2 L_max) of L = B: M is 1 / (1 + 4 ROOM_OF_BASE^2) then.
 # Of 18 plants 8 and 16 leave the same but for noise, of which 16 learns more.
-CLOSE = 8
+ROOM_OF_BASE = 8
 # of the gain that inverts P at low frequencies, there: beyond, what L gains is noise. Of the 32
 # plants in figures/performance.md 29 are within 1.2 of the best law without it, 31 with 15 or 20
 STATIC = 20
 # Low frequencies end at this share of the cut-off. With 1/50 to 1/30 the same 31 are within 1.2.
 # With the gain at rest in its place, 30; and of a plant whose time constants are 1 : 10,000, trial
 # 2 leaves 4 times what it could, or the bounds are infeasible.
-LOW = 1 / 30
+SLOW = 1 / 30
 # of M_max: what b may leave of the error at any frequency. Without this, STATIC might make a design
 # infeasible. From 0.6 / 0.9 on it changes none of the 32 plants, with a half two.
 REMAINS = 2 / 3
-PASSES = 0.01  # of the largest sigma_min(P): what is less at rest passes nothing there
+PASSES_AT_REST = 0.01  # of the largest sigma_min(P): what is less at rest passes nothing there
 
 
 def cutoff(Q, omega) -> float:
@@ -59,7 +59,7 @@ def band(cutoff, omega) -> tuple[float, float]:
 
 def at_rest(smallest) -> float:
     """The smallest singular value of P at rest; zero if P passes nothing there."""
-    return float(smallest[0]) if smallest[0] > PASSES * smallest.max() else 0.0
+    return float(smallest[0]) if smallest[0] > PASSES_AT_REST * smallest.max() else 0.0
 
 
 def gain(cutoff, smallest, omega) -> float:
@@ -75,20 +75,20 @@ def gain(cutoff, smallest, omega) -> float:
 def gain_of_base(cutoff, smallest, omega, Q, M_max) -> float:
     """The bound on the gain of L = B, by which b = 1 / (2 L_max) is chosen.
 
-    CLOSE times the largest gain that inverts P up to the cut-off, and at most STATIC times the
-    largest that inverts P up to LOW of it. With the b of that, |Q| b^2 / (sigma^2 + b^2) stays of
-    the error, where sigma is the smallest singular value: if that were more than REMAINS M_max at
-    some frequency, b is as much smaller. Q, (n,): its size at omega.
+    ROOM_OF_BASE times the largest gain that inverts P up to the cut-off, and at most STATIC times
+    the largest that inverts P up to SLOW of it. With the b of that, |Q| b^2 / (sigma^2 + b^2) stays
+    of the error, where sigma is the smallest singular value: if that were more than REMAINS M_max
+    at some frequency, b is as much smaller. Q, (n,): its size at omega.
     """
-    slow = smallest[omega <= max(LOW * cutoff, omega[0])].min()
-    above = smallest[omega >= LOW * cutoff].max(initial=0)
-    by_noise = slow / (2 * STATIC) if slow > PASSES * above else 0.0  # else P passes nothing there
+    slow = smallest[omega <= max(SLOW * cutoff, omega[0])].min()
+    above = smallest[omega >= SLOW * cutoff].max(initial=0)
+    passes_at_rest = slow > PASSES_AT_REST * above
+    by_noise = slow / (2 * STATIC) if passes_at_rest else 0.0
     remains = REMAINS * M_max
     passed = remains < Q
     by_error = smallest[passed] * np.sqrt(remains / (Q[passed] - remains))
-    b = max(
-        _least(cutoff, smallest, omega) / (2 * CLOSE), min(by_noise, by_error.min(initial=np.inf))
-    )
+    by_room = _least(cutoff, smallest, omega) / (2 * ROOM_OF_BASE)
+    b = max(by_room, min(by_noise, by_error.min(initial=np.inf)))
     return float(1 / (2 * b))
 
 
@@ -99,8 +99,8 @@ def _least(cutoff, smallest, omega):
 
 def order(cutoff, delay, Ts, frequencies) -> int:
     """The delay of P and REACH / (cutoff Ts), within limits; the grid determines half of it."""
-    samples = max(FEWEST, delay + np.ceil(REACH / (cutoff * Ts) - 1e-9))
-    return int(min(samples, max(MOST, delay + LEFT), max(1, frequencies // 2)))
+    samples = max(FEWEST_TAPS, delay + np.ceil(REACH / (cutoff * Ts) - 1e-9))
+    return int(min(samples, max(MOST_TAPS, delay + LEFT_TAPS), max(1, frequencies // 2)))
 
 
 def delay(P, omega, Ts, cutoff) -> int:

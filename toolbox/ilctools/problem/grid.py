@@ -2,7 +2,8 @@
 
 With steps of h at most in the phase of the poles of Q, P and L, see :mod:`.evidence.peak`, what is
 M_max cos(h / 2) at most on a grid is M_max at most between its frequencies, and so is L. Samples
-have no poles: between them the grid is DENSER than theirs, and as dense as the poles of L ask for.
+have no poles: between two of them the grid has FREQUENCIES_PER_SAMPLE, or as many as the poles of L
+ask for.
 Below the first sample no bound on M is added: the certificate alone says what may happen there.
 """
 
@@ -17,10 +18,10 @@ from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.singular_values import largest_singular_values
 
 # h, with a proof and else: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
-PROVEN, ESTIMATED = 0.01, 0.05
-MOST = 30_000  # frequencies; of a base of thousands of samples the steps are larger
-COARSE = np.pi / 2  # in the phase of L: between steps of this L passes its bound by 8 % at most
-DENSER = 10  # frequencies between two samples
+PROVEN_PHASE_STEP, ESTIMATED_PHASE_STEP = 0.01, 0.05
+MOST_ON_A_GRID = 30_000  # frequencies; of a base of thousands of samples the steps are larger
+COARSE_PHASE_STEP = np.pi / 2  # of L: between such steps L passes its bound by 8 % at most
+FREQUENCIES_PER_SAMPLE = 10  # between two of them
 
 
 def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
@@ -50,13 +51,15 @@ def _is_coarse(problem):
     """Whether L may pass a bound between the stated frequencies."""
     ends = np.concatenate([[0], problem.response.angles, [np.pi]])
     step = np.diff(phase(problem.poles_of_L, ends)).max()
-    return step > COARSE and bool(problem.bounds.on("L"))
+    return step > COARSE_PHASE_STEP and bool(problem.bounds.on("L"))
 
 
 def _bounded_between(problem, dense) -> Problem:
     """The problem with bounds between its frequencies, too, where P is known."""
     everywhere, stated = problem.bounds.everywhere, problem.omega
-    denser = stated if problem.proven or not everywhere else subdivided(stated, DENSER)
+    denser = stated
+    if everywhere and not problem.proven:
+        denser = subdivided(stated, FREQUENCIES_PER_SAMPLE)
     first = [claim.lowest for claim in problem.bounds.on("L")]
     omega = np.concatenate([dense.theta / problem.Ts, denser, first])
     omega = np.setdiff1d(omega, stated)
@@ -76,12 +79,12 @@ def _bounded_above(grid, problem, dense) -> Problem:
 def _dense(problem) -> Dense:
     """The grid for the poles of L, and with `everywhere` for those of P and Q, too."""
     of_L, lowpass = problem.poles_of_L, problem.lowpass
-    step, systems = ESTIMATED, [of_L]
+    step, systems = ESTIMATED_PHASE_STEP, [of_L]
     if problem.bounds.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
         of_P = [model.poles() for model in problem.response.models if model is not None]
         systems = [np.concatenate([poles, of_L, lowpass.poles]) for poles in of_P] or systems
-        step = PROVEN if problem.proven else ESTIMATED
-    theta = phase_grid(systems, step, MOST)
+        step = PROVEN_PHASE_STEP if problem.proven else ESTIMATED_PHASE_STEP
+    theta = phase_grid(systems, step, MOST_ON_A_GRID)
     h = np.max([np.diff(phase(poles, theta)).max() for poles in systems])
     return Dense(theta, np.cos(h / 2))
 

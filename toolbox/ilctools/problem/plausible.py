@@ -21,40 +21,62 @@ import numpy as np
 
 from ilctools.findings import Finding
 from ilctools.models import frequency_response
+from ilctools.problem.defaults import lead
 from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
-NEAR = 0.85  # of 1 / (2 Ts), from which on the end of a table looks like one in Hz
-ROUNDED = 1e-3  # by which a table in Hz may pass 1 / (2 Ts)
-NOISY = 0.05  # of the largest gain, up to which an imaginary part may be noise
-FAR = 0.3  # of a gain of one, at rest
-TURNED = 0.2  # rad, of a phase that is worth its digits
-NOTHING = 1e-9  # of the largest gain: rounding
+NEAR_NYQUIST = 0.85  # of 1 / (2 Ts), from which on the end of a table looks like one in Hz
+PAST_NYQUIST = 1e-3  # by which a table in Hz may pass 1 / (2 Ts)
+NOISE_OF_PHASE = 0.05  # of the largest gain, up to which an imaginary part may be noise
+FAR_FROM_ONE = 0.3  # of a gain of one, at rest
+# rad, of the phase of P in the mean, from which on its sign is taken to be wrong
+LEAD_DOUBTED = 0.5
+TURNED_PHASE = 0.2  # rad, of a phase that is worth its digits
+ROUNDED_TO_ZERO = 1e-9  # of the largest gain: rounding
 
 
 def doubts(response: Response) -> list[Finding]:
     """What speaks against the nominal plant as it was passed."""
+    return [*_of_signals(response), *_of_tables(response)]
+
+
+def _of_signals(response):
+    """Outputs in several units that count alike, and directions that P does not pass."""
+    (outputs, inputs), signals = response.names, response.signals
+    units = {signals.units.get(name, "") for name in outputs} - {""}
+    if len(units) > 1 and response.scale.is_one:
+        yield Finding("units", len(units), 1, ", ".join(sorted(units)))
+    if response.directions is not None:
+        place = response.directions.in_words(outputs, inputs)
+        passed, channels = min(response.P.shape[2:]), min(map(len, response.scale))
+        yield Finding("directions", passed, channels, place)
+
+
+def _of_tables(response):
+    """What is doubted of a table, or of a response where its loop makes it the identity."""
     P, omega = response.P[0], response.omega
     at_first = f"at {omega[0]:.4g} rad/s"
+    is_table = response.models[0] is None and response.low is None
     if response.one_at_first:
         apart = np.linalg.norm(P[0] - np.eye(len(P[0])), 2) - response.radii[0]
-        return [Finding("rest", apart, 1 - FAR, at_first)] if apart > 1 - FAR else []
-    if response.models[0] is not None or response.low is not None:
-        return []
-    found = []
-    if np.any(np.abs(np.diagonal(P[0]) + 1) < FAR):
-        found.append(Finding("sign", -1, 1, at_first))
-    if _ends_as_in_hertz(P, omega, response.Ts):
-        place = f"omega ends at {omega[-1]:.6g}"
-        found.append(Finding("hertz", 0.5 / response.Ts, NEAR, place))
-    return found
+        if apart > 1 - FAR_FROM_ONE:
+            yield Finding("rest", apart, 1 - FAR_FROM_ONE, at_first)
+    elif is_table:
+        if np.any(np.abs(np.diagonal(P[0]) + 1) < FAR_FROM_ONE):
+            yield Finding("sign", -1, 1, at_first)
+        if _ends_as_in_hertz(P, omega, response.Ts):
+            place = f"omega ends at {omega[-1]:.6g}"
+            yield Finding("hertz", 0.5 / response.Ts, NEAR_NYQUIST, place)
+    ahead = lead(P, omega, response.Ts) if is_table else 0.0  # else signals say what leads
+    if ahead > LEAD_DOUBTED:
+        yield Finding("lead", ahead, LEAD_DOUBTED)
 
 
 def _ends_as_in_hertz(P, omega, Ts):
     """Whether a table ends where one in Hz does, and does not turn where P in Hz would be real."""
     end = omega[-1] * 2 * Ts
-    turns = np.abs(P[-1].imag).max() > NOISY * np.abs(P).max()
-    return NEAR <= end <= 1 + ROUNDED and not (turns and end > 1 - ROUNDED)
+    turns = np.abs(P[-1].imag).max() > NOISE_OF_PHASE * np.abs(P).max()
+    return NEAR_NYQUIST <= end <= 1 + PAST_NYQUIST and not (turns and end > 1 - PAST_NYQUIST)
 
 
 def at_rest_in_words(response: Response) -> str:
@@ -71,7 +93,7 @@ def at_rest_in_words(response: Response) -> str:
         values = [f"{value:.3g}" for value in np.linalg.svd(P, compute_uv=False)]
         s = "s" if len(values) > 1 else ""
         return f"P has the singular value{s} {', '.join(values)} {where}"
-    rounding = NOTHING * largest_singular_values(response.P[0]).max()
+    rounding = ROUNDED_TO_ZERO * largest_singular_values(response.P[0]).max()
     gains = ", ".join(_number(value, rounding) for value in np.diagonal(P))
     return f"P is {gains} {where}" if len(P) == 1 else f"P is diag({gains}) {where}"
 
@@ -80,6 +102,6 @@ def _number(value, rounding):
     """A gain with its sign, or with its phase where that is neither 0 nor 180 degrees."""
     if np.abs(value) < rounding:
         return "0"
-    if np.abs(value.imag) < TURNED * np.abs(value):
+    if np.abs(value.imag) < TURNED_PHASE * np.abs(value):
         return f"{np.copysign(np.abs(value), value.real):.3g}"
     return f"{np.abs(value):.3g} at {np.degrees(np.angle(value)):.0f} degrees"

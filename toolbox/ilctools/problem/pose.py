@@ -15,7 +15,7 @@ from ilctools.singular_values import largest_singular_values
 
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
 SINGULAR = 1e-12  # of the largest singular value: what is less is rounding
-LONGEST = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
+LONGEST_FILTER = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
 
 
 def pose(
@@ -35,28 +35,20 @@ def pose(
     reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
-    lowpass, asked_order = lowpass_of(Q, response.omega), order
-    cutoff, chosen = lowpass.cutoff, []
-    p, m = response.P.shape[2:]
-    square = p == m
-    if base == defaults.CHOOSE and order is not None and square:
-        base = None
-    pooled = base == defaults.CHOOSE
-    M_max = checked_M_max(M_max)
+    lowpass, asked_order, chosen = lowpass_of(Q, response.omega), order, []
+    cutoff, base = lowpass.cutoff, _asked_base(base, order, response)
+    pooled, M_max = base == defaults.CHOOSE, checked_M_max(M_max)
     gain = _gain(response, lowpass, M_max, pooled)
-    if base is not None and not pooled:
-        base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
-    structure = arguments.choice("structure", structure, ["diagonal", "full"])
-    if structure == "diagonal" and not square:
-        raise needs_square("structure = 'diagonal'", p, m)
+    structure = _asked_structure(structure, response)
     reach = None if reach is None else arguments.whole("reach", reach, 1)
     order = _order(response, cutoff, order, base, chosen)
     Q = lowpass.frequency_response(response.omega)
     objective = _objective(response, cutoff, Q, objective, band, reference, chosen)
     L_high, everywhere = _bound_from(L_high, response), arguments.flag("everywhere", everywhere)
     bounds = Bounds(M_max, _L_max(L_max, gain, pooled, chosen), L_high, everywhere)
+    B = None
     if base is not None:
-        base, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
+        B, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
         chosen.append(text)
     return Problem(
         response,
@@ -66,10 +58,28 @@ def pose(
         bounds,
         order,
         structure,
-        base,
+        B,
         formula_will_do=pooled and asked_order is None,
-        chosen=tuple(chosen),
+        defaults_chosen=tuple(chosen),
     )
+
+
+def _asked_base(base, order, response):
+    """The base as asked for: "auto", a share or None; of a square P, an order means None."""
+    if base == defaults.CHOOSE:
+        p, m = response.P.shape[2:]
+        return None if p == m and order is not None else base
+    if base is None:
+        return None
+    return arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
+
+
+def _asked_structure(structure, response):
+    """The structure; a diagonal one is for as many inputs as outputs."""
+    p, m = response.P.shape[2:]
+    if arguments.choice("structure", structure, ["diagonal", "full"]) == "diagonal" and p != m:
+        raise needs_square("structure = 'diagonal'", p, m)
+    return structure
 
 
 def needs_square(what: str, p: int, m: int) -> ValueError:
@@ -119,7 +129,7 @@ def _order(response, cutoff, order, base, chosen):
     """The order of L or K, which the frequencies must determine."""
     n = len(response.omega)
     if order is None and base is not None:
-        order = min(defaults.TAPS, n)
+        order = min(defaults.TAPS_OF_K, n)
         if base != defaults.CHOOSE:
             chosen.append(f"order = {order} of K, in L = B K")
     if order is None:
@@ -127,10 +137,10 @@ def _order(response, cutoff, order, base, chosen):
         order = defaults.order(cutoff, delay, response.Ts, n)
         chosen.append(f"order = {order}, by Q's cut-off and P's lag of {delay} samples there")
     order = arguments.whole("order", order, 1)
-    if order > LONGEST:
+    if order > LONGEST_FILTER:
         raise ValueError(
-            f"order = {order} is more than {LONGEST}, beyond which a design takes minutes: leave "
-            "it out, L = B then looks as far as P needs, or sample more slowly"
+            f"order = {order} is more than {LONGEST_FILTER}, beyond which a design takes minutes: "
+            "leave it out, L = B then looks as far as P needs, or sample more slowly"
         )
     if order > n:
         raise ValueError(
@@ -189,7 +199,7 @@ def _of_band(omega, cutoff, band, summed, chosen):
 def _L_max(L_max, gain, close, chosen):
     """The bound on sigma_max(L), which may be None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max, room = gain, f"{defaults.CLOSE} or less" if close else defaults.ROOM
+        L_max, room = gain, f"{defaults.ROOM_OF_BASE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
     what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
     return None if L_max is None else arguments.positive("L_max", L_max, what)

@@ -27,6 +27,7 @@ from ilctools.problem import defaults
 from ilctools.problem.bounds import Bounds
 from ilctools.problem.lowpass import SampledQ
 from ilctools.response.response import Response
+from ilctools.response.samples import Assumed
 from ilctools.response.scale import Scale
 from ilctools.singular_values import largest_singular_values
 
@@ -77,7 +78,7 @@ class Problem:
     structure: str = "full"  # or "diagonal"
     base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
     formula_will_do: bool = False  # whether L = B is wanted, if it keeps all bounds
-    chosen: tuple[str, ...] = ()  # by default, in words
+    defaults_chosen: tuple[str, ...] = ()  # by default, in words
     costs: tuple[Finding, ...] = ()  # of what was chosen, where they are large
 
     @property
@@ -160,7 +161,7 @@ class Problem:
         """The objective without learning, L = 0."""
         return self.objective.value(np.abs(self.Q))
 
-    def unit(self, value) -> float:
+    def gap_scale(self, value) -> float:
         """Scale of relative gaps: the objective, at least a hundredth of that for L = 0.
 
         Below that, learning leaves next to nothing after one trial, and rounding decides the rest.
@@ -168,7 +169,7 @@ class Problem:
         return max(value, 1e-2 * self.idle)
 
     @property
-    def delay(self) -> int:
+    def delay_samples(self) -> int:
         """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
         return defaults.delay(self.P, self.omega, self.Ts, self.lowpass.cutoff)
 
@@ -178,7 +179,7 @@ class Problem:
         return self.radius is not None or len(self.plants) > 1
 
     @property
-    def unusable(self) -> np.ndarray:
+    def singular_within_radius(self) -> np.ndarray:
         """Whether the radius admits a singular plant, at each frequency, shape (n,)."""
         # In some direction no learning filter acts on such a plant: sigma_max(M) >= |Q|.
         if self.radius is None:
@@ -234,7 +235,7 @@ class Problem:
         return at, np.eye(self.channels) / limit[at, None, None]
 
     @property
-    def first(self) -> int:
+    def first_sample(self) -> int:
         """The first sample of L, or of K: a K looks as far back as ahead."""
         return 1 if self.base is None else -((self.order - 1) // 2)
 
@@ -243,21 +244,22 @@ class Problem:
         """What L, turned, is for K = z at omega, in units of `scale`; None if L is K."""
         if self.base is None:
             return None
-        shift = np.exp(1j * (self.first - 1) * self.omega * self.Ts)
+        shift = np.exp(1j * (self.first_sample - 1) * self.omega * self.Ts)
         return self.turned(self.base.frequency_response(self.omega)) * shift[:, None, None]
 
     def through_base(self, T, at):
-        """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega."""
+        """T of G = F + T L as that of G = F + T K / z^(first_sample - 1), at numbers of omega."""
         return T if self.base is None else T @ self.of_K[at]
 
     @property
-    def assumptions(self) -> tuple[str, ...]:
+    def assumptions(self) -> tuple[str | Assumed, ...]:
         """What was chosen by default, and what P, its radius and Q rest on between samples."""
-        more, response, lost = [], self.response, self.unusable
-        chosen = [f"chosen: {'; '.join(self.chosen)}"] if self.chosen else []
+        more, response, lost = [], self.response, self.singular_within_radius
+        chosen = [f"chosen: {'; '.join(self.defaults_chosen)}"] if self.defaults_chosen else []
         if isinstance(self.lowpass, SampledQ):
             last = np.abs(self.lowpass.samples[-1])
-            more.append(f"assumed: Q is splined between its samples, and {last:.4g} above the last")
+            text = f"Q is splined between its samples, and {last:.4g} above the last"
+            more.append(Assumed(text))
         if lost.any():
             low, high = self.omega[lost][[0, -1]]
             more.append(
@@ -279,7 +281,7 @@ class Problem:
         """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
         # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
-        K = LearningFilter(coefficients, self.Ts, ends, self.first)
+        K = LearningFilter(coefficients, self.Ts, ends, self.first_sample)
         if self.base is None:
             return K
         if self.of_v:
@@ -292,7 +294,7 @@ class Problem:
         return self.scaled_filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def K(self, solution: "Solution") -> np.ndarray:
-        """Response of K / z^(first - 1), turned, or of L without a base, at omega."""
+        """Response of K / z^(first_sample - 1), turned, or of L without a base, at omega."""
         return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
 
     def L(self, solution: "Solution") -> np.ndarray:

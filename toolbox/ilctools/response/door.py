@@ -15,7 +15,7 @@ from ilctools.models import model_and_response, refuse_foreign
 from ilctools.response.directions import Directions
 from ilctools.response.measured import CONFIDENCE, Measured, radius_of, with_phase
 from ilctools.response.response import POINTS_BELOW, Response
-from ilctools.response.samples import SAME_FREQUENCY, Samples
+from ilctools.response.samples import SAME_FREQUENCY, Assumed, Samples
 from ilctools.response.scale import Scale, scale_of
 from ilctools.signals import Signals, check_match
 
@@ -31,7 +31,7 @@ class Accuracy(NamedTuple):
     """How well P is known, in units of `scale`; fields of :class:`.Response`."""
 
     radius: np.ndarray | None = None
-    assumptions: tuple[str, ...] = ()
+    assumptions: tuple[str | Assumed, ...] = ()
     low: Samples | None = None
 
 
@@ -115,7 +115,7 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
         if P.estimated:  # it says more below than a table does
             below = np.linspace(0, omega[0], POINTS_BELOW)
             low = Samples(below, *P.on(below, CONFIDENCE, scale))
-        return Accuracy(_unless_zero(radius), P.basis(omega, CONFIDENCE), low)
+        return Accuracy(_unless_zero(radius), P.statements(omega, CONFIDENCE), low)
     if uncertainty is None:
         return Accuracy()
     relative = f"the radius is {uncertainty} sigma_max(P), at each frequency"

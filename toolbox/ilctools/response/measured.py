@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ilctools import arguments
-from ilctools.response.samples import Samples
+from ilctools.response.samples import Assumed, Samples
 from ilctools.response.scale import scale_of
 from ilctools.singular_values import largest_singular_values
 
@@ -77,19 +77,25 @@ class Measured:
         return P, radius + np.where(above, 2 * largest_singular_values(P), 0)
 
     def _between(self, omega, confidence):
-        """What is assumed there, in words."""
-        yield "assumed: splines miss P by no more than they miss lines that are left out"
+        """What is assumed there."""
+        yield Assumed("splines miss P by no more than they miss lines that are left out")
         samples = self._samples(confidence)
         outside, below = samples.outside(omega), omega < samples.omega[0]
         if np.any(outside & below):
             yield samples.below_in_words
         if above := np.mean(outside & ~below):
-            yield f"assumed: above, at {above:.0%} of omega, P is not larger than at the last line"
+            share = f"at {above:.0%} of omega"
+            yield Assumed(f"above, {share}, P is not larger than at the last line")
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
         """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
-        lines = self._basis(arguments.row("omega", omega), probability(confidence))
-        return (*lines, *self.findings)
+        return tuple(
+            map(str, self.statements(arguments.row("omega", omega), probability(confidence)))
+        )
+
+    def statements(self, omega, confidence) -> tuple[str | Assumed, ...]:
+        """Those of :meth:`basis`, of which it can be asked whether they are assumed."""
+        return (*self._basis(omega, confidence), *self.findings)
 
     @property
     def names(self) -> tuple[list[str], list[str]]:

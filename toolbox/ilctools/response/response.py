@@ -13,7 +13,7 @@ import numpy as np
 
 from ilctools.models import frequency_response
 from ilctools.response.directions import Directions
-from ilctools.response.samples import Samples
+from ilctools.response.samples import Assumed, Samples
 from ilctools.response.scale import Scale
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
@@ -35,7 +35,7 @@ class Response:
     radius: np.ndarray | None  # (n,): P may be P + Delta, ||Delta|| <= radius; None: it is P
     scale: Scale
     signals: Signals  # of the nominal plant
-    assumptions: tuple[str, ...] = ()  # what a measured P and its radius rest on
+    assumptions: tuple[str | Assumed, ...] = ()  # what a measured P and its radius rest on
     added: bool = True  # whether v is added to references, one for each output
     # else what the loop makes of references, in units of `scale.y`, if it says so
     of_reference: control.StateSpace | None = None
@@ -99,7 +99,7 @@ class Response:
         return (self.models[plant] is None) & (np.asarray(omega) < self.omega[0])
 
     @property
-    def below_in_words(self) -> str | None:
+    def below_in_words(self) -> Assumed | None:
         """What is assumed below the first sample; None if P is known there."""
         if not self.sampled or self.omega[0] <= 0:
             return None
@@ -120,16 +120,17 @@ class Response:
         return [Samples(self.omega, P, self.radii, self.low) for P in self.P]
 
     @property
-    def assumed(self) -> tuple[str, ...]:
-        """What is assumed below the samples, above them and between them, in words."""
-        texts, between = [], []
+    def assumed(self) -> tuple[Assumed, ...]:
+        """What is assumed below the samples, above them and between them."""
+        assumed, between = [], []
         if self.below_in_words is not None:
-            texts.append(self.below_in_words)
+            assumed.append(self.below_in_words)
         if self.beyond is not None:
-            texts.append(
-                f"assumed: above {self.omega[-1]:.4g} rad/s, where P is not known, sigma_max(P) is "
+            text = (
+                f"above {self.omega[-1]:.4g} rad/s, where P is not known, sigma_max(P) is "
                 f"{self.beyond:.4g} at most, at any phase"
             )
+            assumed.append(Assumed(text))
         if self.sampled:
             between.append(
                 "cubic splines miss P by no more than they miss samples that are left out"
@@ -138,5 +139,5 @@ class Response:
             between.append("the radius is interpolated by straight lines")
         if between:
             axis = "log omega" if self.samples[0].axis is np.log else "omega"
-            texts.append(f"assumed: between omega, {' and '.join(between)}, over {axis}")
-        return tuple(texts)
+            assumed.append(Assumed(f"between omega, {' and '.join(between)}, over {axis}"))
+        return tuple(assumed)

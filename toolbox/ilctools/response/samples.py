@@ -47,6 +47,15 @@ COARSE_STEP = (
 )
 
 
+class Assumed(NamedTuple):
+    """An assumption on which a design rests, among lines of what is known."""
+
+    text: str
+
+    def __str__(self):
+        return f"assumed: {self.text}"
+
+
 class Region(NamedTuple):
     """P + Delta W + E, ||Delta|| <= moves, ||E|| <= radius, at some frequencies."""
 
@@ -124,23 +133,23 @@ class Samples:
         return self.moves < 1
 
     @property
-    def below_in_words(self) -> str:
+    def below_in_words(self) -> Assumed:
         """What is assumed below the first sample."""
         first = f"{self.omega[0]:.4g} rad/s"
         if self.low is not None:
-            return (
-                f"assumed: below {first} P is what the measured response says at rest and up to "
-                f"there, within {self.low.at(self.low.omega)[1].max():.2g}"
+            return Assumed(
+                f"below {first} P is what the measured response says at rest and up to there, "
+                f"within {self.low.at(self.low.omega)[1].max():.2g}"
             )
         if self.known_below:
             beside = ", beside its radius" if self.radius[0] else ""
-            return (
-                f"assumed: below {first} P is within {100 * self.moves:.2g} % of a straight line "
-                f"from P there to its real part at rest{beside}"
+            return Assumed(
+                f"below {first} P is within {100 * self.moves:.2g} % of a straight line from P "
+                f"there to its real part at rest{beside}"
             )
-        return (
-            f"assumed: below {first}, where P is not known, as its phase or gain moves too much, "
-            "it is not larger than there, at any phase"
+        return Assumed(
+            f"below {first}, where P is not known, as its phase or gain moves too much, it is not "
+            "larger than there, at any phase"
         )
 
     def below(self, omega) -> Region:

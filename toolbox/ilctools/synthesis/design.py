@@ -235,7 +235,7 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
         return ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
 
     first = design = designed(problem_of(lowpass(limit.omega)))
-    _, norm = first.certificate.trial
+    norm = first.certificate.settled_trial.norm
     if norm >= 1:
         design = designed(problem_of(lowpass(limit.omega / 2)))
     cutoff = design.Q.cutoff
@@ -250,14 +250,16 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
         costs.append(Finding("narrow", limit.without, limit.omega, limit.decisive))
     if cutoff == lowest:
         costs.append(Finding("little", cutoff, lowest, limit.reason))
-    problem = replace(design.problem, chosen=(text, *design.problem.chosen), costs=tuple(costs))
+    problem = replace(
+        design.problem, defaults_chosen=(text, *design.problem.defaults_chosen), costs=tuple(costs)
+    )
     return Synthesis(replace(design.certificate, problem=problem))
 
 
 def _cost_of_ends(first, half) -> Finding:
     """What the ends of a trial cost where they halve the cut-off, and what would mend them."""
-    samples, norm = first.certificate.trial
-    _, left = half.certificate.trial
+    samples, norm = first.certificate.settled_trial
+    left = half.certificate.settled_trial.norm
     remedy = ""
     if found := _rest_that_mends(first):
         rest, mended = found
@@ -270,7 +272,7 @@ def _cost_of_ends(first, half) -> Finding:
 def _rest_that_mends(design) -> tuple[int, float] | None:
     """A number of samples at rest that takes the norm of a trial below one, and that norm."""
     problem, certificate = design.problem, design.certificate
-    L, (samples, _) = certificate.scaled_filter, certificate.trial
+    L, samples = certificate.scaled_filter, certificate.settled_trial.samples
     for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
         norm = max(
             trial_norm(P, problem.lowpass, L, samples, rest=int(rest))[0]
@@ -347,14 +349,14 @@ def _infeasible(problem) -> InfeasibleError:
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
     longer += "" if problem.base is None else ", a larger `reach`, or none of B (pass its order)"
     raised = " or ".join(claim.name for claim in problem.bounds.claims)
-    texts = "; ".join(problem.assumptions)
+    texts = "; ".join(map(str, problem.assumptions))
     return InfeasibleError(
         f"infeasible: {' and '.join(map(str, problem.bounds.claims))} are too tight for a "
         f"{problem.structure} filter of order = {problem.order} (P lags by "
-        f"{problem.delay} samples at the cut-off); the smallest feasible M_max is {least:.6g} "
-        f"(most in the way: {where}): raise {raised}, take {longer}, lower the cut-off of Q "
-        "(without Q, it is chosen), or design a faster loop. If no bound so tight was meant: are "
-        "units, signs and the order of the channels right, in each plant?"
+        f"{problem.delay_samples} samples at the cut-off); the smallest feasible M_max is "
+        f"{least:.6g} (most in the way: {where}): raise {raised}, take {longer}, lower the cut-off "
+        "of Q (without Q, it is chosen), or design a faster loop. If no bound so tight was meant: "
+        "are units, signs and the order of the channels right, in each plant?"
         f"{_remedy(problem)} {texts}",
         nearest.largest,
         plant,

@@ -43,7 +43,7 @@ def _share(problem, solution):
     """The largest share of a bound that a solution has at each frequency."""
     limit_M, gain = problem.M_max, 1.0
     if problem.objective.kind == "peak":  # rounding, where it is nearly zero
-        limit_M = solution.largest + ROUNDING_OF_BOUND * problem.unit(solution.largest)
+        limit_M = solution.largest + ROUNDING_OF_BOUND * problem.gap_scale(solution.largest)
     if problem.objective.kind == "gain":
         gain = solution.largest
     L, K = problem.L(solution), problem.K(solution)

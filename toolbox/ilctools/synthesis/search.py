@@ -66,7 +66,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     for same in SAME_PEAK:
         try:
             with np.errstate(all="ignore"):
-                room = same * problem.unit(free.value)
+                room = same * problem.gap_scale(free.value)
                 bounds = replace(problem.bounds, M_max=free.value + room, L_max=unit)
                 least = replace(question, bounds=bounds)
                 _, found = solve_everywhere(least)

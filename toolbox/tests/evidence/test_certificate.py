@@ -33,51 +33,6 @@ def good(loop, Q, omega):
     return synthesise(loop, Q, omega[::5], 1.0, **paper_choices(band=(1e-4, 0.01))).certificate
 
 
-def test_a_certificate_in_print(good):
-    """Of one plant, which lags by the zeros of the loop, see notebook 7; of tables that end early.
-
-    Digits are those of the numbers, which other tests judge.
-    """
-    assert good.failures == good.warnings == []
-    expected = f"""\
-rate at most {good.rate:.4f}, at all frequencies, proven; largest near 0.041 rad/s
-{good.margins}
-P is diag(1, 1) at rest, Q's cut-off 0.1 rad/s, where P lags by 17 samples, \
-sigma_max(L) {good.all_L:.3g}, norm of a trial of {good.trial[0]} samples {good.trial[1]:.3g}
-limited by M_max = 0.9, L_max = 50, order = 10; \
-mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s"""
-    assert f"{good}" == expected
-    omega = np.geomspace(1e-2, 2.0, 50)
-    P = np.stack([frequency_response(model, omega) for model in MODELS])
-    design = of_lags(P, omega, band=(1e-2, 0.1), structure="full", M_max=0.99)
-    tables = design.certificate
-    between, above = tables.peaks["estimated"], tables.peaks["assumed"]
-    below = tables.peaks["assumed below the first sample"]
-    moves = max(samples.moves for samples in tables.problem.response.samples)
-    assert f"{design}".startswith(f"rate at most {design.rate:.4f} for each of 3 plants, at all")
-    expected = f"""\
-0.99       M_max
-{tables.grid_M:<11.5g}sigma_max(M), on the grid, of plant 1 at 0.01 rad/s
-{between.sigma:<11.5g}sigma_max(M), estimated, of plant {between.plant} at {between.omega:.4g} rad/s
-{below.sigma:<11.5g}sigma_max(M), assumed below the first sample, of plant {below.plant} at \
-{below.omega:.4g} rad/s
-{above.sigma:<11.5g}sigma_max(M), assumed, of plant 0 at 2 rad/s
-5          L_max
-{tables.sigma_L.max():<11.5g}sigma_max(L), on the grid
-{tables.all_L:<11.5g}sigma_max(L), at all frequencies
-{tables.value:<11.5g}objective
-{tables.lower_bound:<11.5g}lower bound of the objective
-mean of sigma_max(M) of the nominal plant over the band: {tables.mean_M:.4f}, from 0.01 to 0.1 rad/s
-assumed: below 0.01 rad/s P is within {100 * moves:.2g} % of a straight line from P there to its \
-real part at rest
-assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.1714 at most, at any phase
-assumed: between omega, cubic splines miss P by no more than they miss samples that are left out, \
-over log omega"""
-    assert tables.details == expected
-    high = BUTTERWORTH.frequency_response([2.0])[0]
-    assert high < design.rate == pytest.approx(design.check(P, omega).rate, rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("gap", "M", "L", "anywhere", "codes"),
     [
@@ -189,21 +144,3 @@ def test_with_two_channels_trials_may_converge_and_not_monotonically():
     assert not result.monotone and result.converges
     unsure = design.check(coupled, uncertainty=np.full(250, 1e-3))
     assert not unsure.converges and str(unsure).startswith("need not converge")
-
-
-def test_a_loop_brings_its_P_and_tables_their_own_grid(loop, Q):
-    own = np.geomspace(1e-4, 2.0, 70)
-    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 250), **paper_choices())
-    all_M, P = design.certificate.all_M, loop.frequency_response(own)
-    result = design.check(control.frd(np.moveaxis(P, 0, -1), own))
-    assert result.rate == pytest.approx(all_M, rel=1e-2)
-    assert result.rate >= convergence(P, Q, design.filter, own).rate
-    unsure = design.check(P, own, uncertainty=np.full(70, 1e-3))
-    assert result.rate < unsure.rate and not unsure.proven
-
-
-def test_samples_of_Q_are_splined_for_another_plant():
-    design = of_lags(lag(), FINE, BUTTERWORTH.frequency_response(FINE))
-    for omega in (None, FINE[::2]):
-        gamma = design.check(lag(), omega).rate
-        assert gamma == pytest.approx(design.certificate.all_M, rel=1e-4)

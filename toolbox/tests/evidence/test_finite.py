@@ -3,10 +3,17 @@
 import control
 import numpy as np
 import pytest
-from plants import furnace, lag
+from plants import furnace, lag, sigma_of_M
 
-from ilctools import LearningFilter, trial_map, trial_norm, trial_operators, zero_phase_butterworth
-from ilctools.evidence.finite import settled_norm
+from ilctools import (
+    LearningFilter,
+    synthesise,
+    trial_map,
+    trial_norm,
+    trial_operators,
+    zero_phase_butterworth,
+)
+from ilctools.evidence.finite import settled_trial
 from ilctools.models import sampled_plant
 
 TAPS = 0.3 * np.random.default_rng(1).standard_normal((2, 2, 10))
@@ -52,8 +59,32 @@ LOWPASS, TAP = zero_phase_butterworth(2, 0.5, 1.0), LearningFilter([[[0.5]]], 1.
     ],
 )
 def test_a_trial_is_ten_times_as_long_as_the_plants_settle(plants, samples):
-    found, norm = settled_norm(plants, LOWPASS, TAP)
+    found, norm = settled_trial(plants, LOWPASS, TAP)
     assert found == int(samples)
     assert norm == pytest.approx(
         max(trial_norm(P, LOWPASS, TAP, found)[0] for P in plants), rel=1e-7
     )
+
+
+def delayed(samples):
+    """A pure delay."""
+    return control.ss(control.tf([1.0], [1.0, *np.zeros(samples)], 1.0))
+
+
+def test_directions_that_grow_alike_have_a_norm():
+    """A trial in which a delay acts on many samples of v not at all.
+
+    Its largest singular values are 1 - 1e-6 and closer: a Lanczos iteration cannot separate them.
+    """
+    Q, L = zero_phase_butterworth(2, 2.8, 1.0), LearningFilter([[[0.5]]], 1.0, first=90)
+    T = trial_map(delayed(90), Q, L, 200) @ np.eye(200)
+    norm, before, after = trial_norm(delayed(90), Q, L, 200)
+    assert abs(norm - np.linalg.norm(T, 2)) < 1e-12
+    assert np.allclose(T @ before, after, rtol=0, atol=1e-12)
+
+
+def test_a_pure_delay_of_200_samples_is_learned():
+    design = synthesise(delayed(200))
+    assert design.certificate.settled_trial.norm < 1
+    M = sigma_of_M(np.linspace(0.001, np.pi, 4000), delayed(200), design.Q, design.filter)
+    assert M.max() <= design.rate * (1 + 1e-6) < 0.01

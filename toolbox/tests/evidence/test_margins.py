@@ -5,13 +5,10 @@ import re
 import control
 import numpy as np
 import pytest
-from paper import paper_choices
 from plants import STAGE_WITH_MODES as STAGE
-from plants import sigma_of_M
-from problems import posed
 
 from ilctools import frequency_response, synthesise, zero_phase_butterworth
-from ilctools.evidence.margins import STEP, Perturbed, _filters, highest, inwards
+from ilctools.evidence.margins import inwards
 
 S, TS, CUTOFF = control.tf("s"), 0.01, 40.0
 LOWPASS = zero_phase_butterworth(2, CUTOFF, TS)
@@ -133,40 +130,3 @@ def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
 )
 def test_what_is_printed_is_rounded_inwards_to_two_digits(distance, expected):
     assert inwards(distance) == pytest.approx(expected, rel=1e-14)
-
-
-def test_the_height_of_a_crest_is_that_of_its_parabola_but_not_over_a_jump():
-    omega = np.array([0.0, 0.7, 1.3, 2.0])
-    sigma = 1.01 - 0.05 * (omega - 1) ** 2
-    assert highest(omega, sigma, np.array([])) == pytest.approx(1.01, abs=1e-14)
-    assert highest(omega, sigma, np.array([1.0])) == sigma.max()
-
-
-TAPS = np.ones((2, 2, 10))
-
-
-@pytest.mark.parametrize("low", [1e-4, 1.1e-4, 1.3e-4, 1e-3])
-def test_between_its_frequencies_a_model_is_known_to_a_millionth(loop, Q, low):
-    """Beside the first frequency a radius may begin; two knots that close would break the spline.
-
-    Steps of pi / 20 in the phase of the poles leave (pi / 20)^4 / 384 of a cubic spline's error.
-    """
-    problem = posed(loop, Q, np.geomspace(low, np.pi, 300), **paper_choices(band=None))
-    plant = Perturbed(problem.response, 0, _filters(problem, problem.scaled_filter(TAPS)))
-    fine = np.geomspace(low / 10, 3.1, 3000)
-    expected = frequency_response(loop.P, fine)
-    assert np.abs(plant.P(fine) - expected).max() < STEP**4 / 384 * np.abs(expected).max()
-
-
-def test_the_papers_design_admits_a_faster_rod_as_far_as_brute_force(loop, Q, omega):
-    """Its grid ends at the Nyquist frequency, and begins where a radius would."""
-    design = synthesise(loop, Q, omega, **paper_choices())
-    fine, (faster, slower) = np.linspace(1e-5, np.pi, 20001), design.margins.time
-    for scale, holds in (
-        (1 / (0.99 * faster), True),
-        (1 / (1.01 * faster), False),
-        (0.99 * slower, True),
-        (1.01 * slower, False),
-    ):
-        P = frequency_response(loop.P, (scale * fine).clip(max=np.pi))
-        assert (sigma_of_M(fine, P, Q, design.filter).max() < 1) == holds

@@ -8,18 +8,10 @@ import pandas as pd
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plants import RestartingModel, copies, lag, lags, random_stable, sigma_of_M
+from plants import copies, lags, random_stable
 
-from ilctools import (
-    ClosedLoop,
-    measured_response,
-    multisine,
-    read_table,
-    shake,
-    synthesise,
-    zero_phase_butterworth,
-)
-from ilctools.evidence.peak import BELOW, CLOSE, peak_of_M, proven_peak
+from ilctools import measured_response, read_table, synthesise, zero_phase_butterworth
+from ilctools.evidence.peak import BELOW, PEAK_TOLERANCE, peak_of_M, proven_peak
 from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units
 from ilctools.singular_values import largest_singular_values
@@ -76,18 +68,6 @@ def test_a_model_is_known_at_rest():
     assert BELOW not in design.certificate.peaks and "assumed: below" not in f"{design}"
 
 
-def test_below_the_lowest_line_of_a_shaken_rig_the_rate_holds_too():
-    """Two lags, from a tenth of the cut-off on; at rest nothing was measured."""
-    plant = control.ss(lag(0.97, 2.5, 0.01) * lag(0.97, Ts=0.01), inputs=["w1"], outputs=["y1"])
-    loop, lowpass = ClosedLoop(Ts=0.01, outputs=["y1"]), zero_phase_butterworth(2, 3.0, 0.01)
-    excitation = multisine(loop, 0.3, 9.0, 1.0, 0.1, 20)
-    measured = measured_response(shake(RestartingModel(plant, noise=0.002), loop, excitation))
-    design = synthesise(measured, lowpass)
-    true = sigma_of_M(np.linspace(0, measured.omega[0], 100), plant, lowpass, design.filter)
-    assert true.max() <= design.certificate.peaks[BELOW].sigma <= design.rate < 0.9
-    assert "P is what the measured response says at rest" in f"{design}"
-
-
 def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
     """By the region of its estimate, in whatever units; judged by the plant at rest."""
     plant, rng, time = lags(), np.random.default_rng(0), np.arange(1500)
@@ -103,6 +83,7 @@ def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
         design = synthesise(measured, lowpass, scale=scale)
         assert design.certificate.peaks["estimated"].sigma < design.rate < 1
         assert peak_of_M(plant, design.filter, lowpass)[0] <= design.rate
+        assert "P is what the measured response says at rest" in f"{design}"
         S = np.array(scale)
         response = design.problem.response
         for known, truth in (
@@ -156,14 +137,7 @@ def test_a_peak_is_above_and_close_to_brute_force_in_whatever_units(n, m, distan
     if lowpass:
         sigma *= lowpass.frequency_response(omega)
     assert sigma.max() <= gain * (1 + rounding)
-    assert gain <= sigma[-1] * (1 + CLOSE + rounding)
-
-
-@pytest.mark.parametrize("gain", [1e-170, 1e170])
-def test_gains_whose_squares_leave_the_doubles_are_found(gain):
-    for m in (1, 3):
-        system = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), 0, 1.0)
-        assert peak_gain(system)[0] == pytest.approx(2 * gain, rel=CLOSE, abs=0)
+    assert gain <= sigma[-1] * (1 + PEAK_TOLERANCE + rounding)
 
 
 def test_an_unstable_system_has_no_peak():

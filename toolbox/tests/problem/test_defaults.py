@@ -25,7 +25,7 @@ def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
     np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
     assert chosen.objective.band == pytest.approx((1e-4, 0.1), rel=1e-12)
     assert (chosen.L_max, paper.L_max) == (200.0, 50.0)
-    assert len(chosen.chosen) == 3 and not paper.chosen
+    assert len(chosen.defaults_chosen) == 3 and not paper.defaults_chosen
 
 
 @given(factor=st.floats(1e-6, 1e6), unit=st.floats(1e-6, 1e6))

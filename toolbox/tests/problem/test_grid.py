@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from problems import posed
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
-from ilctools.evidence.peak import CLOSE, peak_of_L
+from ilctools.evidence.peak import PEAK_TOLERANCE, peak_of_L
 from ilctools.problem.grid import on_a_grid
 from ilctools.singular_values import largest_singular_values
 
@@ -39,7 +39,7 @@ def test_no_filter_that_keeps_the_bound_on_the_grid_passes_it_between(m, order, 
         share = largest_singular_values(L.frequency_response(problem.omega)).max() / problem.L_max
         highest = peak_of_L(LearningFilter(taps / share, 1.0))[0]
         limit = 7 if problem.L_max < 7 else 7 / np.cos(np.pi / 8)
-        assert highest <= limit * (1 + CLOSE)
+        assert highest <= limit * (1 + PEAK_TOLERANCE)
 
 
 @pytest.mark.filterwarnings(

@@ -1,16 +1,16 @@
-"""The singular values that the problem is about."""
+"""The problem as solver and evidence take it."""
 
 import numpy as np
-import pytest
+from plants import random_response
+from problems import posed
 
-from ilctools.singular_values import largest_singular_values
 
-
-@pytest.mark.parametrize("gain", [1e-100, 1.0, 1e100])
-def test_largest_singular_values_are_those_of_a_decomposition(gain):
-    G = np.random.default_rng(0).standard_normal((5, 2, 3)) * (1 + 2j)
-    mixed = np.concatenate([G, 1e-3 * gain * G, 0 * G])
-    for matrices in (mixed, mixed[:, :1], mixed.swapaxes(1, 2)):
-        expected = np.linalg.svd(matrices, compute_uv=False)[:, 0]
-        sigma = largest_singular_values(matrices)
-        np.testing.assert_allclose(sigma, expected, rtol=1e-14)
+def test_what_was_chosen_and_what_is_assumed_is_said_and_singular_plants_are_counted():
+    P, Q, omega = random_response(1, 2)
+    values = np.linalg.svd(P, compute_uv=False)[:, -1]
+    problem = posed(P, Q, omega, 1.0, uncertainty=values * (omega > 1) + 1e-3)
+    np.testing.assert_array_equal(problem.singular_within_radius, omega > 1)
+    chosen, *_, of_Q, lost = map(str, problem.assumptions)
+    assert chosen.startswith("chosen: order = ") and "; band = (" in chosen
+    assert of_Q == f"assumed: Q is splined between its samples, and {Q[-1]:.4g} above the last"
+    assert f"nothing can be learned at {np.sum(omega > 1)} frequencies from " in lost

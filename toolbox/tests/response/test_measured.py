@@ -48,7 +48,7 @@ def test_where_nothing_can_be_learned_is_named(loop, Q):
     assert 0 < len(lost) < 50
     assert f"nothing can be learned at {len(lost)} frequencies from {lost[0]:.4g}" in str(design)
     many = posed([P, 0.5 * P], Q, omega, 1.0, uncertainty=np.full(50, 0.01))
-    np.testing.assert_array_equal(many.unusable, 0.5 * smallest <= 0.01)
+    np.testing.assert_array_equal(many.singular_within_radius, 0.5 * smallest <= 0.01)
     with pytest.raises(ValueError, match="uncertainty must be None"):
         synthesise(table(P, 0.01, omega), Q, omega, uncertainty=np.full(50, 0.1))
     with pytest.raises(ValueError, match=r"P.0. is a measured response, whose radius"):

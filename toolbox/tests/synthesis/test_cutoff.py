@@ -42,7 +42,7 @@ def test_an_antiresonance_that_ends_the_reach_is_named():
     with pytest.warns(match=r"that P passes little from 0\.\d+ to 1\.\d* rad/s decides"):
         design = synthesise(P)
     assert design.Q.cutoff == pytest.approx(0.9, abs=0.1)
-    text = design.problem.chosen[0]
+    text = design.problem.defaults_chosen[0]
     without = float(re.search(r"without it (\S+) rad/s", text)[1])
     # |P| is a tenth again where 1 / |0.02 j omega + 1| is, but for the zeros and poles at 1 rad/s
     assert without == pytest.approx(np.sqrt(99) / 0.02, rel=0.1)

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 from ilctools.errors import SolverError
-from ilctools.evidence.robustness import NEAR
+from ilctools.evidence.robustness import NEAR_LEVEL
 from ilctools.models import frequency_response
 from ilctools.synthesis import everywhere
 
@@ -30,7 +30,7 @@ def judged(design, P, Q, omega):
 
 def dense(design, Ts=1.0):
     """Evenly, by decades, and closely about the frequencies that were added."""
-    added = np.setdiff1d(design.certificate.grid.omega, design.omega)[:, None]
+    added = np.setdiff1d(design.certificate.problem_on_grid.omega, design.omega)[:, None]
     about = (added * (1 + np.linspace(-0.01, 0.01, 41))).ravel()
     grids = (np.linspace(0, np.pi, 2001) / Ts, np.geomspace(1e-4, np.pi, 2001) / Ts, about)
     return np.unique(np.concatenate(grids).clip(0, np.pi / Ts))
@@ -77,7 +77,7 @@ def test_a_peak_that_is_rounding_has_no_crests():
         control.ss(furnace(3)), Q, grid, objective="peak", L_max=30.0, everywhere=True
     )
     assert design.value < 1e-12
-    assert len(design.certificate.grid.omega) < 2 * len(grid)
+    assert len(design.certificate.problem_on_grid.omega) < 2 * len(grid)
 
 
 def test_a_resonance_that_no_sample_shows_is_held():
@@ -140,7 +140,7 @@ def test_no_plant_within_radius_and_list_exceeds_a_certificate_anywhere(seed):
     inside = (at >= first) & (at <= last)
     largest, known, rho = design.certificate, at[inside], np.zeros(len(at))
     # crests of samples that are lower are only bounded, see evidence/peak
-    most = np.full(len(at), max(largest.all_M, NEAR * asked["M_max"]))
+    most = np.full(len(at), max(largest.all_M, NEAR_LEVEL * asked["M_max"]))
     if "uncertainty" in asked:
         rho[inside] = np.interp(axis(known), axis(omega), asked["uncertainty"])
         most[at < first] = max(

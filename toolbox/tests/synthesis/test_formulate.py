@@ -68,7 +68,7 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
         except InfeasibleError as error:
             choices["M_max"] = 1.01 * error.smallest_M_max
     ours = synthesise(P, Q, omega, 1.0, **choices)
-    problem = ours.certificate.grid  # with all bounds that were needed
+    problem = ours.certificate.problem_on_grid  # with all bounds that were needed
     theirs, U, V, cuts = optimum(problem)
     slack = {"abs": 1e-6 * problem.idle} if objective == "weighted" else {"rel": 1e-5}
     assert ours.value == pytest.approx(theirs, **slack)
