@@ -16,7 +16,7 @@ from scipy import sparse
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.models import balanced, state_sequence
+from ilctools.models import balanced, dynamics_on_trial, on_trial, state_sequence
 
 try:
     import piqp
@@ -158,7 +158,7 @@ def _nearest(loop, actuators, u, weight, samples):
     solver = piqp.SparseSolver()
     solver.settings.reg_lower_limit = REGULAR
     solver.setup(
-        cost.tocsc(), np.zeros(cost.shape[0]), dynamics.tocsc(), np.zeros(dynamics.shape[0]),
+        cost.tocsc(), np.zeros(cost.shape[0]), dynamics, np.zeros(dynamics.shape[0]),
         commands[limited].tocsc(), low[limited], high[limited],
     )  # fmt: skip
     status = solver.solve()
@@ -176,16 +176,9 @@ def _program(loop, weight, samples, active):
     P, (K, N) = loop.P_v, _feedback(loop)
     n, p, m = P.nstates, P.noutputs, P.ninputs
     A, B, CK = balanced(P, K)  # else feasible programs may fail
-    now = sparse.eye_array(samples, format="csc")
-    before = sparse.eye_array(samples, k=-1, format="csc")
-
-    def rows(samples, of_x, of_z):
-        return sparse.hstack(
-            [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)], format="csr"
-        )
-
-    y = rows(now, CK[:p], P.D)
+    moving = slice(samples * n + active * m)  # z is zero in the rest
+    y = on_trial(samples, CK[:p], P.D)[:, moving]
+    dynamics = dynamics_on_trial(samples, A, B)[:, moving]
+    commands = on_trial(samples, CK[p:], N)[: active * len(N), moving].tocsr()
     of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
-    dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, A, B)
-    commands = rows(now, CK[p:], N)[: active * len(N)]
     return y.T @ y / weight + sparse.diags_array(of_z), dynamics, commands
