@@ -121,6 +121,11 @@ class NormOptimal:
         """Number p of outputs of P."""
         return self.P.noutputs
 
+    @property
+    def weight_of_change(self) -> float:
+        """It learns in the norm that it minimises."""
+        return self.weight
+
     def frequency_response(self, omega) -> np.ndarray:
         """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
         return regularised_inverse(frequency_response(self.P, omega), np.sqrt(self.weight))
