@@ -39,7 +39,7 @@ from scipy.fft import irfft, rfft
 from scipy.linalg import block_diag
 
 from ilctools import arguments
-from ilctools.filters import Composition, LearningFilter
+from ilctools.filters import WEIGHT_OF_CHANGE, Composition, LearningFilter
 from ilctools.models import balanced, frequency_response, minimal_realisation, sampled_plant
 from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
@@ -65,6 +65,7 @@ class RegularisedInverse:
     # (outputs of P, p), see :func:`.pooled.pooled`; the identity of one model
     E: np.ndarray | None = None
     scale_y: np.ndarray | None = None  # (p,); that of the inputs where it is left out
+    weight_of_change = WEIGHT_OF_CHANGE
 
     def __post_init__(self):
         P = sampled_plant(self.P, "P")

@@ -28,10 +28,11 @@ ENDS = {  # whether the first sample stands still before the trial, and the last
 }
 AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")  # of the plant: L makes inputs of errors
 LONG = 100  # coefficients: beyond, doubles and the fast convolution do, see `time_shifts`
-FARTHEST = 10**6  # samples that a filter may look ahead or back
-HIGHEST = 20  # order of Q: what is higher is a cut-off in the place of the order
+FARTHEST_TAP = 10**6  # samples that a filter may look ahead or back
+HIGHEST_ORDER = 20  # of Q: what is higher is a cut-off in the place of the order
 LONGEST_RESPONSE = 10**7  # samples that the response of Q may last each way
 ANYWHERE = 1.0  # rad a sample: where a response is asked for its shape alone
+WEIGHT_OF_CHANGE = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class ZeroPhaseButterworth:
             "is normalised, as scipy's, times that"
         )
         cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
-        order = arguments.whole("order", self.order, 1, HIGHEST)
+        order = arguments.whole("order", self.order, 1, HIGHEST_ORDER)
         vars(self).update(order=order, cutoff=cutoff, Ts=Ts)
         if not self._realised():
             end = "low" if cutoff < np.pi / Ts / 2 else "high"
@@ -171,9 +172,11 @@ zero_phase_butterworth = ZeroPhaseButterworth
 
 @runtime_checkable
 class LearningOperator(Protocol):
-    """Whatever can stand for L in the law (23): it knows its response and acts on a trial.
+    """The contract of L in the law (23): a linear map from the errors of a trial to changes of v.
 
-    :class:`LearningFilter` is one; those of other designs are in :mod:`ilctools.norm_optimal`.
+    Whatever keeps it can stand for L in :class:`ilctools.Law` and :func:`ilctools.convergence`.
+    :class:`LearningFilter` is one; another design is :class:`ilctools.NormOptimal`. An operator can
+    be pickled, so that a law can be sent to other processes.
     """
 
     @property
@@ -188,11 +191,27 @@ class LearningOperator(Protocol):
     def columns(self) -> int:
         """Number p of errors that it takes, one for each output of the plant."""
 
+    @property
+    def weight_of_change(self) -> float:
+        """The norm in which it learns, ||P v||^2 + weight ||v||^2, in units of y^2 per v^2.
+
+        Where commands have limits, the law projects v onto them in this norm.
+        """
+
     def frequency_response(self, omega) -> np.ndarray:
-        """At `omega` (rad/s), shape (n, m, p), complex."""
+        """Far from the ends of a trial, at `omega` (rad/s, shape (n,)): (n, m, p), complex."""
 
     def apply(self, signal) -> np.ndarray:
-        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
+        """What it makes, shape (..., time, m), of errors of shape (..., time, p).
+
+        In units of v and y. A ValueError if it does not act on trials of so many samples.
+        """
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """The transpose of :meth:`apply`, shape (..., time, p), of signals (..., time, m).
+
+        That is, sum(y * apply(x)) = sum(apply_transposed(y) * x) on a trial.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,13 +251,14 @@ class LearningFilter:
     Ts: float
     ends: str = "zero"
     first: int = 1
+    weight_of_change = WEIGHT_OF_CHANGE
 
     def __post_init__(self):
         c = labels.with_axes("coefficients", self.coefficients, AXES_OF_L)
         c = arguments.array("coefficients", c, ("m", "p", "order"))
         Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))
-        first = arguments.whole("first", self.first, -FARTHEST, FARTHEST)
+        first = arguments.whole("first", self.first, -FARTHEST_TAP, FARTHEST_TAP)
         c.flags.writeable = False
         vars(self).update(coefficients=c, Ts=Ts, first=first)
 
@@ -287,24 +307,6 @@ class LearningFilter:
             response += part * np.exp(1j * (self.first + start - 1) * angles)[:, None, None]
         return response
 
-    def __call__(self, z) -> np.ndarray:
-        """L(z), laid out as python-control's systems do: the axes of `z` last.
-
-        Parameters
-        ----------
-        z : array_like, complex
-            A point or several, as ``np.exp(1j * omega * Ts)``.
-
-        Returns
-        -------
-        ndarray, shape (m, p, ...), complex
-            Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
-        """
-        z = arguments.array("z", z, (...,), complex)
-        shifts = z[..., None] ** np.arange(self.first, self.last + 1)
-        response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
-        return response[0, 0] if self.rows == self.columns == 1 else response
-
     def apply(self, signal) -> np.ndarray:
         """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
         signal = arguments.array("signal", signal, (..., "time", self.columns))
@@ -342,6 +344,7 @@ class Composition:
     B: LearningOperator
     K: LearningFilter
     K_first: bool = True  # whether K acts on the error, and B on what K makes
+    weight_of_change = WEIGHT_OF_CHANGE
 
     def __post_init__(self):
         check_learning(self.B, "B")

@@ -14,7 +14,7 @@ from typing import Any
 
 import control
 import numpy as np
-from scipy import signal
+from scipy import signal, sparse
 from scipy.linalg import matrix_balance, null_space, schur
 
 from ilctools import arguments
@@ -109,6 +109,20 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     for before, now in pairwise(x):
         now += A @ before
     return x
+
+
+def on_trial(samples: int, of_x, of_d, delay: int = 0) -> sparse.csc_array:
+    """The matrix of signals of_x x(p - delay) + of_d d(p - delay), p = 0, ..., samples - 1.
+
+    Its columns are those of the states x in all samples, and then those of the inputs d.
+    """
+    time = sparse.eye_array(samples, k=-delay)
+    return sparse.hstack([sparse.kron(time, part, "csc") for part in (of_x, of_d)], "csc")
+
+
+def dynamics_on_trial(samples: int, A, B) -> sparse.csc_array:
+    """The matrix of x(p) - A x(p - 1) - B d(p - 1), which is zero on a trial from rest."""
+    return on_trial(samples, np.eye(len(A)), np.zeros_like(B)) - on_trial(samples, A, B, delay=1)
 
 
 def unreachable_modes(A, B) -> np.ndarray:

@@ -1,4 +1,3 @@
-import control
 import numpy as np
 import pytest
 from hypothesis import given
@@ -81,15 +80,3 @@ def test_a_filter_that_rounding_would_change_or_that_does_not_end_is_refused(
     """Of order 1 its coefficients are exact; a signal of ten samples took 10 GB."""
     with pytest.raises(ValueError, match=f"^cutoff = {cutoff} rad/s is {words}"):
         zero_phase_butterworth(order, cutoff, Ts)
-
-
-def test_a_filter_is_called_at_z_as_the_systems_of_python_control_are():
-    L = LearningFilter(np.random.default_rng(0).standard_normal((2, 2, 10)), 1.0)
-    z = np.exp(1j * np.geomspace(1e-3, np.pi, 60))
-    polynomials = [
-        [[*c[::-1].tolist(), 0.0] for c in row] for row in L.coefficients
-    ]  # their polynomials begin with the highest power
-    theirs = control.TransferFunction(polynomials, [[[1.0]] * 2] * 2, 1.0)
-    for points in (z[3], z, [0.5, 2.0j]):
-        np.testing.assert_allclose(L(points), theirs(points), rtol=1e-10)
-        assert np.shape(L(points)) == np.shape(theirs(points))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning
-from ilctools.law.limits import WEIGHT, Actuators, LimitsOf, check_solver, projected, stated_limits
+from ilctools.law.limits import Actuators, LimitsOf, check_solver, projected, stated_limits
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
 
@@ -182,7 +182,7 @@ class Law:
 
         With limits, of all v whose commands stay within them, the nearest to the v* of the law
         without: it minimises ||P (v - v*)||^2 + weight ||v - v*||^2, by the model of the loop, from
-        the commands that were applied. The weight is 0.01, or that of an L which has one: with that
+        the commands that were applied. The weight is that of L, 0.01 of a filter: with that
         of :class:`ilctools.NormOptimal` and a Q near one this is constrained norm-optimal learning,
         whose predicted error cannot rise. What the loop asks for in the rest, where v is zero, is
         left out of account. Of a ClosedLoop without P the commands are cut off instead.
@@ -222,16 +222,21 @@ class Law:
         v = arguments.in_columns("v", v, (..., "time", self.rows), names)
         of_e = self._names(e, self.outputs, self.columns)
         e = arguments.in_columns("e", e, (*v.shape[:-1], self.columns), of_e)
-        rest, a = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1), self.gain
+        rest = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
         v, applied = self.applied(v, u, applied)
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
-            learned = _finite(v + self.L.apply(e))
-            following = _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
+        following = self._learned(v, e)
         following[..., v.shape[-2] - rest :, :] = 0
         if self.actuators is not None:
-            weight = getattr(self.L, "weight", WEIGHT)
+            weight = self.L.weight_of_change
             following = projected(self.loop, self.actuators, v, applied, following, weight, rest)
         return arguments.labelled_as(labelled, following, names)
+
+    def _learned(self, v, e):
+        """v of (23) without rest and limits."""
+        a = self.gain
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+            learned = _finite(v + self.L.apply(e))
+            return _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
 
     def _names(self, signal, known, count):
         """Names of v's or e's channels; of a law without a loop, they cannot be matched with L."""

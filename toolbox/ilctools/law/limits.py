@@ -15,8 +15,8 @@ import numpy as np
 from scipy import sparse
 
 from ilctools import arguments
-from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.models import balanced, state_sequence
+from ilctools.loop.closed import Loop
+from ilctools.models import balanced, dynamics_on_trial, on_trial, state_sequence
 
 try:
     import piqp
@@ -25,11 +25,11 @@ except ImportError:  # which not every platform has
 
 # Of the width of the limits: by so much a solver's rounding may pass them. The projection stays
 # inside by it, so that its commands are not counted as cut off.
-ROUNDING = 1e-6
-REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
+SOLVER_ROUNDING = 1e-6
+# of PIQP's systems: with its own 1e-10 rounding may keep it from an end
+LEAST_REGULARISATION = 1e-8
 CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
 UNLIMITED = (-np.inf, np.inf)
-WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 
 class LimitsOf(Enum):
@@ -79,7 +79,7 @@ class Actuators:
 
     def can(self, commands) -> bool:
         """Whether commands (..., m) are applied as they are, but for rounding."""
-        return np.allclose(self.follow(commands), commands, 0, ROUNDING * self.width)
+        return np.allclose(self.follow(commands), commands, 0, SOLVER_ROUNDING * self.width)
 
     def follow(self, commands) -> np.ndarray:
         """What is applied of commands, shape (..., m)."""
@@ -122,21 +122,13 @@ def projected(
         u = applied + loop.w(no_reference, change)
         applicable[:active] = loop.realised(target, u, actuators.follow(u))[:active]
         return applicable
-    K, N = _feedback(loop)
+    K, N = loop.feedback()
     x = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
     u = (applied + x @ K.T + change @ N.T)[:active]  # the commands of the target
     if actuators.can(u):
         return target
     applicable[:active] = target[:active] + _nearest(loop, actuators, u, weight, len(v))
     return applicable
-
-
-def _feedback(loop):
-    """K and N of the commands u = K x + N v, x the states of P."""
-    if isinstance(loop, ClosedLoop):
-        commands = len(loop.commands)
-        return np.zeros((commands, loop.P.nstates)), np.eye(commands)[:, loop.places]
-    return -loop.Ks, loop.N
 
 
 def _nearest(loop, actuators, u, weight, samples):
@@ -147,7 +139,7 @@ def _nearest(loop, actuators, u, weight, samples):
                 lowest <= u + K x + N z <= highest
     """
     cost, dynamics, commands = _program(loop, weight, samples, len(u))
-    margin = ROUNDING * actuators.width  # for the solver's rounding
+    margin = SOLVER_ROUNDING * actuators.width  # for the solver's rounding
     # The solver's tolerances are absolute: in units of what is beyond the limits, z costing one.
     size = np.abs(actuators.follow(u) - u).max()
     low = (actuators.lowest + margin - u).ravel() / size
@@ -156,9 +148,9 @@ def _nearest(loop, actuators, u, weight, samples):
     limited = moved & (np.isfinite(low) | np.isfinite(high))
 
     solver = piqp.SparseSolver()
-    solver.settings.reg_lower_limit = REGULAR
+    solver.settings.reg_lower_limit = LEAST_REGULARISATION
     solver.setup(
-        cost.tocsc(), np.zeros(cost.shape[0]), dynamics.tocsc(), np.zeros(dynamics.shape[0]),
+        cost.tocsc(), np.zeros(cost.shape[0]), dynamics, np.zeros(dynamics.shape[0]),
         commands[limited].tocsc(), low[limited], high[limited],
     )  # fmt: skip
     status = solver.solve()
@@ -173,19 +165,12 @@ def _nearest(loop, actuators, u, weight, samples):
 
 def _program(loop, weight, samples, active):
     """Of all x, then of all z before the rest: the cost / weight, the dynamics, the commands."""
-    P, (K, N) = loop.P_v, _feedback(loop)
+    P, (K, N) = loop.P_v, loop.feedback()
     n, p, m = P.nstates, P.noutputs, P.ninputs
     A, B, CK = balanced(P, K)  # else feasible programs may fail
-    now = sparse.eye_array(samples, format="csc")
-    before = sparse.eye_array(samples, k=-1, format="csc")
-
-    def rows(samples, of_x, of_z):
-        return sparse.hstack(
-            [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)], format="csr"
-        )
-
-    y = rows(now, CK[:p], P.D)
+    moving = slice(samples * n + active * m)  # z is zero in the rest
+    y = on_trial(samples, CK[:p], P.D)[:, moving]
+    dynamics = dynamics_on_trial(samples, A, B)[:, moving]
+    commands = on_trial(samples, CK[p:], N)[: active * len(N), moving].tocsr()
     of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
-    dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, A, B)
-    commands = rows(now, CK[p:], N)[: active * len(N)]
     return y.T @ y / weight + sparse.diags_array(of_z), dynamics, commands

@@ -24,16 +24,16 @@ from ilctools.pooled import isometry
 from ilctools.signals import Signals, check_match
 
 # of the file: the second see `is_newer`, the third for other numbers of inputs than of outputs
-FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3")
+LAW_FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3")
 # What is not noted, in a file and in a log; step is the learning gain, actuators are the limits.
 # A file leaves them to the rig, if it does not say {}; a log was made within those that it names.
 OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG}
 OF_LOG = OF_FILE | {"actuators": {}}
-KEYS = ("Q", "L", *OF_LOG)
+LAW_KEYS = ("Q", "L", *OF_LOG)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 RESET = "reset"  # the note that says that there was none between trials, NO_RESET
 NO_RESET = "none: a trial starts where the last one ended"
-MATRICES = (*"ABCD", "dt")  # of a model, and its sampling period
+PARTS_OF_MODEL = (*"ABCD", "dt")  # of a model, and its sampling period
 
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):
@@ -53,7 +53,7 @@ def _plain(part):
     """An array or a model as what JSON can hold."""
     if not isinstance(part, control.StateSpace):
         return part.tolist()
-    values = {name: getattr(part, name) for name in MATRICES}
+    values = {name: getattr(part, name) for name in PARTS_OF_MODEL}
     return values | {"inputs": part.input_labels, "outputs": part.output_labels}
 
 
@@ -61,16 +61,22 @@ def model_from(note):
     """A model that :func:`text_of` noted."""
     if note is None:
         return None
-    values = (note[name] for name in MATRICES)
+    values = (note[name] for name in PARTS_OF_MODEL)
     return control.ss(*values, inputs=note["inputs"], outputs=note["outputs"])
 
 
-def loop_note(loop: Loop) -> str:
+def loop_note(loop: CurrentTrialLoop | ClosedLoop) -> str:
     """A loop as JSON."""
     note = {part.name: getattr(loop, part.name) for part in fields(loop)}
     if isinstance(loop, ClosedLoop) and loop.one_for_one:  # as in notes before there was a choice
         del note["references"], note["learned"]
     return text_of(note)
+
+
+def with_loop(trials: xr.Dataset, loop: Loop | None) -> xr.Dataset:
+    """Note the loop in the metadata, if it is one that :func:`loop_of` can make again."""
+    ours = isinstance(loop, CurrentTrialLoop | ClosedLoop)
+    return trials.assign_attrs(loop=loop_note(loop)) if ours else trials
 
 
 def loop_of(trials: xr.Dataset) -> Loop | None:
@@ -146,9 +152,7 @@ def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Note in the metadata which law (23) made the trials, and around which loop."""
     made = replace(law, limits=law.known_limits)  # those of the rig hold on it alone
     texts = {key: text_of(note) for key, note in law_notes(made, OF_LOG).items()}
-    if law.loop is not None:
-        texts["loop"] = loop_note(law.loop)
-    return trials.assign_attrs(texts)
+    return with_loop(trials.assign_attrs(texts), law.loop)
 
 
 def law_of(trials: xr.Dataset) -> Law | None:
@@ -188,7 +192,7 @@ def law_of(trials: xr.Dataset) -> Law | None:
         return None
     loop = loop_of(trials)
     with reading("law"):
-        notes = {key: json.loads(trials.attrs[key]) for key in KEYS if key in trials.attrs}
+        notes = {key: json.loads(trials.attrs[key]) for key in LAW_KEYS if key in trials.attrs}
         law = _law_from(trials.attrs["Ts"], **OF_LOG | notes)
         check_match(log=Signals.of_log(trials), law=law)
         return law if loop is None else law.bound_to(loop)
@@ -237,7 +241,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     arguments.instance("note", note, str)
     notes = law_notes(law)
     number = is_newer(text_of(notes)) if law.rows == law.columns else 2
-    content = {"format": FORMATS[number], "Ts": law.Ts, **notes, "note": note}
+    content = {"format": LAW_FORMATS[number], "Ts": law.Ts, **notes, "note": note}
     text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
     keep_others(path, text[: text.index("law")])  # raw data, say
     write_whole(path, text)
@@ -264,7 +268,7 @@ def load_law(path) -> Law:
     try:
         content = json.loads(regular(path).read_text(encoding="utf-8"))
         content = {key: content[key] for key in content if key not in ("note", "sections")}
-        arguments.choice("format", content.pop("format"), FORMATS)
+        arguments.choice("format", content.pop("format"), LAW_FORMATS)
         return _law_from(**OF_FILE | content)
     except (OSError, *MISUNDERSTOOD) as error:
         raise ValueError(

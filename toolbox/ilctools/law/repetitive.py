@@ -36,7 +36,7 @@ from ilctools import arguments
 from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 
-NEGLIGIBLE = 1e-6  # of M, at any frequency, where P is at most one: what Q's response is cut for
+NEGLIGIBLE_OF_M = 1e-6  # at any frequency, where P is at most one: what Q's response is cut for
 
 
 def finite_response(law: Law) -> np.ndarray:
@@ -45,7 +45,7 @@ def finite_response(law: Law) -> np.ndarray:
     M is Q (I - P L): what Q loses counts as often as L is large.
     """
     gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
-    return _cut(law.Q, NEGLIGIBLE / max(1.0, gain))
+    return _cut(law.Q, NEGLIGIBLE_OF_M / max(1.0, gain))
 
 
 @lru_cache(maxsize=4)
@@ -70,10 +70,10 @@ def check_period(law: Law, period: int) -> None:
     if law.rest:
         raise ValueError(f"rest = {law.rest}, but without reset trials have no end: take rest=0")
     if isinstance(law.L, Composition):
+        reach = (period - len(_cut(law.Q, NEGLIGIBLE_OF_M)) // 2) // 2
         raise ValueError(
             "L has the base of a model, which acts on trials with ends: for trials without reset "
-            f"synthesise with reach, {(period - len(_cut(law.Q, NEGLIGIBLE)) // 2) // 2} samples "
-            "or fewer, or with base=None"
+            f"synthesise with reach, {reach} samples or fewer, or with base=None"
         )
     arguments.instance("L", law.L, LearningFilter)
     shortest = reach_ahead(law) + 1

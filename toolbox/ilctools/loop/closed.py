@@ -6,8 +6,9 @@ another plant. How the gains are designed is in :mod:`ilctools.loop.design`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import control
 import numpy as np
@@ -15,6 +16,57 @@ import numpy as np
 from ilctools import arguments, units
 from ilctools.models import Model, frequency_response, sampled_plant
 from ilctools.signals import Signals, check_match
+
+
+class Feedback(NamedTuple):
+    """K and N of the commands u = K x + N v, with x for the states of P_v."""
+
+    K: np.ndarray  # (commands, states)
+    N: np.ndarray  # (commands, m)
+
+
+@runtime_checkable
+class Loop(Protocol):
+    """The contract of a loop that is learned on: signals w = F r + G v go in, outputs y come out.
+
+    :class:`CurrentTrialLoop` and :class:`ClosedLoop` keep it. So may a class of yours: laws,
+    simulated trials, rigs and measurements ask a loop for nothing else. A log does not note it. Two
+    loops are the same if all fields of a dataclass are, or else by ``==``. Signals have the shape
+    (..., time, channel), in the order of the names and in their units.
+    """
+
+    Ts: float  # sampling period, s
+    outputs: list[str]  # names of the p outputs y, and of the references r
+    inputs: list[str]  # names of the inputs w
+    learned: list[str]  # names of the m inputs that v is added to
+    one_for_one: bool  # whether v is added to the references, one for each output in their order
+    commands: list[str]  # names of what is sent to the rig, or of the inputs w of its controller
+    controls: list[str]  # names of further commands that the rig reports; [] for none
+    disturbances: list[str]  # names of the d inputs of the plant that the loop does not know
+    units: dict[str, str]  # of all of these signals by name, "" where not known
+    P_v: control.StateSpace | None  # the stable model from v to y; None if it is not known
+    P_r: control.StateSpace | None  # that from r to y
+
+    def feedback(self) -> Feedback:
+        """How commands follow from v and the states of P_v, of a loop that has it."""
+
+    def w(self, reference, v) -> np.ndarray:
+        """The inputs w, shape (..., inputs), of a reference (..., p) and a signal v (..., m)."""
+
+    def asked(self, signals) -> np.ndarray | None:
+        """The commands of a trial, (..., commands), from its signals by name; None: not known."""
+
+    def realised(self, v, u, applied) -> np.ndarray:
+        """The v, (..., m), with which the loop would have asked for `applied` in the place of u.
+
+        Both are commands of shape (..., commands). Where they are equal, it is v itself.
+        """
+
+    def model(self, plant=None) -> control.StateSpace:
+        """The model from w to y, with another plant in the place of its own; a ValueError: none."""
+
+    def frequency_response(self, omega, plant=None) -> np.ndarray:
+        """From v to y at `omega` (rad/s, shape (n,)), (n, p, m), complex; `plant` as in `model`."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +131,6 @@ class CurrentTrialLoop:
         return self.inputs
 
     @property
-    def references(self) -> dict[str, str]:
-        """Whose reference each input takes: that of its own output."""
-        return dict(zip(self.inputs, self.outputs, strict=True))
-
-    @property
     def one_for_one(self) -> bool:
         """Whether v is added to the references, one for each output in their order."""
         return True
@@ -130,6 +177,15 @@ class CurrentTrialLoop:
         """The transfer function from v to y, which learning sees: P."""
         return self.P
 
+    @property
+    def P_r(self) -> control.StateSpace:
+        """The transfer function from r to y: P."""
+        return self.P
+
+    def feedback(self) -> Feedback:
+        """Of the commands u = N w - K_s x, (18) without a disturbance."""
+        return Feedback(-self.Ks, self.N)
+
     @cached_property
     def closed(self) -> control.StateSpace:
         """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
@@ -146,6 +202,10 @@ class CurrentTrialLoop:
         lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
         """
         return _from_w_and_d(self, plant)
+
+    def model(self, plant: Model | None = None) -> control.StateSpace:
+        """P, or the transfer function from w to y around another plant."""
+        return self.P if plant is None else self.around(plant)[:, self.inputs]
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
         """P of (31), of the loop as designed or of the same controller around another plant.
@@ -166,11 +226,9 @@ class CurrentTrialLoop:
         -------
         ndarray, shape (n, m, m), complex
         """
-        if plant is None:
-            return frequency_response(self.P, omega)  # (31)
+        if isinstance(plant, control.StateSpace | control.TransferFunction | None):
+            return frequency_response(self.model(plant), omega)  # (31)
         m = self.plant.noutputs
-        if isinstance(plant, control.StateSpace | control.TransferFunction):
-            return frequency_response(self.around(plant)[:, :m], omega)
         omega = arguments.row("omega", omega)
         G = arguments.array("plant", plant, (..., len(omega), m, m), complex)
         # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
@@ -333,10 +391,15 @@ class ClosedLoop:
         own = [self.references.get(name) for name in self.inputs]
         return self.learned == self.inputs and own == self.outputs
 
-    @property
-    def places(self) -> list[int]:
-        """Where the learned inputs stand among the inputs."""
-        return [self.inputs.index(name) for name in self.learned]
+    @cached_property
+    def F(self) -> np.ndarray:
+        """Which input takes the reference of which output, (inputs, p), of zeros and ones."""
+        return np.array([[self.references.get(i) == o for o in self.outputs] for i in self.inputs])
+
+    @cached_property
+    def G(self) -> np.ndarray:
+        """Which input takes which channel of v, (inputs, m), of zeros and ones."""
+        return np.array([[i == name for name in self.learned] for i in self.inputs])
 
     @property
     def commands(self) -> list[str]:
@@ -345,13 +408,7 @@ class ClosedLoop:
 
     def w(self, reference, v) -> np.ndarray:
         """The inputs w = F r + G v, shape (..., inputs), of r (..., p) and v (..., m)."""
-        if self.one_for_one:
-            return reference + v
-        w = np.zeros((*np.shape(v)[:-1], len(self.inputs)))
-        for name, output in self.references.items():  # F
-            w[..., self.inputs.index(name)] = np.asarray(reference)[..., self.outputs.index(output)]
-        w[..., self.places] += np.asarray(v)  # G
-        return w
+        return np.asarray(reference) @ self.F.T + np.asarray(v) @ self.G.T
 
     def asked(self, signals) -> np.ndarray:
         """The commands of a trial, by name those of `commands`: its w = F r + G v."""
@@ -362,25 +419,21 @@ class ClosedLoop:
 
         What is cut off of an input that takes a reference alone, no v makes up for.
         """
-        return v + (applied - u)[..., self.places]  # v itself where nothing was cut off
+        return v + (applied - u) @ self.G  # v itself where nothing was cut off
 
     @property
     def P_v(self) -> control.StateSpace | None:
         """The model from v to y, which learning sees; None without P."""
-        return None if self.P is None else self._from_v(self.P)
+        return None if self.P is None else self.P[:, self.learned]
 
     @property
     def P_r(self) -> control.StateSpace | None:
         """The model from r to y; None without P."""
-        if self.P is None:
-            return None
-        F = np.array([[self.references.get(i) == o for o in self.outputs] for i in self.inputs])
-        P = self.P
-        return control.ss(P.A, P.B @ F, P.C, P.D @ F, P.dt)
+        return None if self.P is None else self.P * self.F
 
-    def _from_v(self, P):
-        """A model from w to y as one from v, its columns those of the learned inputs."""
-        return P if self.learned == self.inputs else P[:, self.places]
+    def feedback(self) -> Feedback:
+        """Of the commands w: they do not depend on the states."""
+        return Feedback(np.zeros((len(self.inputs), self.P.nstates)), self.G)
 
     def model(self, plant=None) -> control.StateSpace:
         """P, or `plant` in its place, which is another model from w to y."""
@@ -399,14 +452,13 @@ class ClosedLoop:
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
         """From v to y at `omega` (rad/s), (n, p, m), by P or another model from w to y."""
-        return frequency_response(self._from_v(self.model(plant)), omega)
-
-
-Loop = CurrentTrialLoop | ClosedLoop
+        return frequency_response(self.model(plant)[:, self.learned], omega)
 
 
 def same_loop(loop: Loop, other: Loop) -> bool:
     """Whether two loops are alike to the last digit, names and units included."""
+    if not (is_dataclass(loop) and type(loop) is type(other)):
+        return loop == other
     return all(map(np.array_equal, _values(loop), _values(other)))
 
 

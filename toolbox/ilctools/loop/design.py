@@ -14,6 +14,8 @@ from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop, with_disturbance
 from ilctools.models import Model, controls_first, sampled_plant
 
+INDEFINITE = 1e-12  # of a weight, relative: an eigenvalue that is as little below zero is rounding
+
 
 def current_trial_loop(
     plant: Model,
@@ -110,10 +112,7 @@ def _checked(plant, controls):
 def _weights(plant, sizes, Qs, Rs, Qo, Ro):
     """The weights of (24) and (27), checked, or what they are by default."""
     n, m = plant.nstates, plant.noutputs
-    names = [*plant.output_labels, *plant.input_labels[:m]]
-    large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
-    large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
-    Sy, Su = np.diag(large[:m]), np.diag(large[m:])
+    Sy, Su = _sizes(sizes, plant.output_labels, plant.input_labels[:m])
     B, C = plant.B[:, :m], plant.C
     spread = np.eye(n) if sizes is None else B @ Su**2 @ B.T
     weights = {
@@ -122,12 +121,24 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
         "Qo": (Qo, block_diag(spread, 2 * Su**2)),  # (27)
         "Ro": (Ro, Sy**2),
     }
-    for name, (asked, usual) in weights.items():
-        weight = usual if asked is None else arguments.array(name, asked, usual.shape)
-        weight = (weight + weight.T) / 2  # which is all that counts of it
-        if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():  # rounding
-            raise ValueError(f"{name} must be positive semidefinite")
-        yield weight
+    return [_weight(name, *values) for name, values in weights.items()]
+
+
+def _sizes(sizes, outputs, controls):
+    """S_y and S_u: what counts as large, one where it is not said."""
+    names = [*outputs, *controls]
+    large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
+    large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
+    return np.diag(large[: len(outputs)]), np.diag(large[len(outputs) :])
+
+
+def _weight(name, asked, usual):
+    """The symmetric part of a weight, which is all that counts of it; `usual` where none is."""
+    weight = usual if asked is None else arguments.array(name, asked, usual.shape)
+    weight = (weight + weight.T) / 2
+    if np.linalg.eigvalsh(weight).min() < -INDEFINITE * np.abs(weight).max():
+        raise ValueError(f"{name} must be positive semidefinite")
+    return weight
 
 
 def _gains(A, B, C, Qs, Rs, Qo, Ro):

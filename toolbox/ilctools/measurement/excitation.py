@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.fft import next_fast_len
 
 from ilctools import arguments
-from ilctools.law.notes import loop_note, read_note
+from ilctools.law.notes import read_note, with_loop
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
@@ -211,10 +211,10 @@ def with_excitation(
     limits: dict[str, tuple[float, ...]] | None = None,
 ) -> xr.Dataset:
     """Note which excitation made the trials, of which loop, and what its actuators follow."""
-    notes = {"excitation": json.dumps(asdict(excitation)), "loop": loop_note(loop)}
+    notes = {"excitation": json.dumps(asdict(excitation))}
     if limits:
         notes["actuators"] = json.dumps(limits, ensure_ascii=False)
-    return trials.assign_attrs(notes)
+    return with_loop(trials.assign_attrs(notes), loop)
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:

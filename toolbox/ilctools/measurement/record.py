@@ -236,7 +236,7 @@ def _inputs(name, log, source):
         return r + v, r, {}  # w rests at the reference's first row
     w, before = loop.w(r, v), loop.w(r, 0 * v)
     others = {n: w[..., i] for i, n in enumerate(loop.inputs) if n not in loop.learned}
-    return w[..., loop.places], before[..., loop.places], others
+    return w @ loop.G, before @ loop.G, others
 
 
 def _without_rounding(signal):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ilctools.law.notes import KEYS, RESET
+from ilctools.law.notes import LAW_KEYS, RESET
 from ilctools.logs.reader import read_log
 from ilctools.progress import progress
 from ilctools.rigs.controlled import ControlledRig
@@ -18,7 +18,7 @@ from ilctools.signals import dataset
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
 
-NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
+NOTED = (*LAW_KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 
 
 @dataclass

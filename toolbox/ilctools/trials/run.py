@@ -16,7 +16,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.law.law import Law
 from ilctools.law.limits import CUT_OFF, commands_beyond
-from ilctools.law.notes import NO_RESET, RESET, loop_note
+from ilctools.law.notes import NO_RESET, RESET, with_loop
 from ilctools.loop.closed import CurrentTrialLoop, Loop, whole_loop
 from ilctools.models import state_sequence
 from ilctools.progress import PATIENCE, progress
@@ -137,7 +137,7 @@ def run_trials(
     learned = () if loop.one_for_one else loop.learned
     result = dataset(loop.Ts, *names, loop.units, learned=learned, **signals, disturbance=d)
     if learned:  # which of the inputs take a reference, too, nothing else says
-        result.attrs["loop"] = loop_note(loop)
+        result = with_loop(result, loop)
     if not reset:
         result.attrs[RESET] = NO_RESET
     for text in _warnings(result, law, plant is None, reset and initial_state is None):

@@ -21,7 +21,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.law.repetitive import NEGLIGIBLE, check_period, finite_response
+from ilctools.law.repetitive import NEGLIGIBLE_OF_M, check_period, finite_response
 
 CUTOFFS = {"stage": 200.0, "tanks": 0.15, "furnace": 0.1}
 
@@ -148,7 +148,7 @@ def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gai
 @pytest.mark.parametrize("gain", [0.5, 1e5])
 @pytest.mark.parametrize(("order", "cutoff"), [(1, 0.02), (2, 0.1), (5, 1.0), (2, 3.0)])
 def test_what_is_cut_off_of_Q_is_negligible_for_M_and_no_more(gain, order, cutoff):
-    L, share = LearningFilter([[[gain]]], 1.0), NEGLIGIBLE / max(1, gain)
+    L, share = LearningFilter([[[gain]]], 1.0), NEGLIGIBLE_OF_M / max(1, gain)
     Q = zero_phase_butterworth(order, cutoff, 1.0)
     h = finite_response(Law(Q, L))
     R, omega = len(h) // 2, np.pi * np.arange(2**14 + 1) / 2**14
