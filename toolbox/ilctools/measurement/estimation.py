@@ -226,7 +226,7 @@ class EstimatedResponse(Measured):
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
             "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{self.fits[0].lags} lags, those of B after a delay and beside "
+            f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside "
             "two slow parts",
         ]
         if not self.known.all():
@@ -249,13 +249,6 @@ class EstimatedResponse(Measured):
         return f"{super().__repr__()}\n{within}"
 
 
-class _Contradicted(NamedTuple):
-    """What contradicts one linear plant, of one output."""
-
-    words: tuple[str, ...]  # a sentence, or none
-    by: float  # of P
-
-
 @on_one_thread
 def estimated_response(
     logs: Sequence[xr.Dataset], of: str | None = None, delay=None
@@ -264,16 +257,16 @@ def estimated_response(
     record = Record.of(logs, of, delay)
     units = record.sizes.outputs[:, None] / record.sizes.inputs
     noted = record.source == "w" or all("reference" in log for log in logs)
-    fits, contradicted = [], []
+    fits, contradictory, apart = [], [], 0.0
     for i, (name, gain) in enumerate(zip(record.outputs, _at_rest(record, units), strict=True)):
         groups = [replace(group, y=group.y[..., [i]]) for group in record.groups]
         fits.append(regression(groups, record.direct, record.delay, gain))
-        contradicted.append(_contradicted(name, fits[i], groups, noted))
+        if said := sorted(contradictions(fits[i], groups, noted), key=lambda one: -one.by):
+            contradictory.append(_in_words(name, said))
+            apart = max(apart, said[0].by)
     nyquist = np.pi / record.loop.Ts
     omega = np.geomspace(nyquist / (2 * record.longest), nyquist, FREQUENCIES)
-    apart = max(one.by for one in contradicted)
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
-    contradictory = tuple(words for one in contradicted for words in one.words)
     findings = (*estimate._unsettled(), *contradictory)
     if not estimate.known.any():
         raise LogError(
@@ -291,14 +284,10 @@ def _at_rest(record, units):
     return [None] * len(units)
 
 
-def _contradicted(name, fit, groups, noted):
-    """`noted`: whether the reference is in the record."""
-    said = sorted(contradictions(fit, groups, noted), key=lambda one: -one.by)
-    if not said:
-        return _Contradicted((), 0.0)
+def _in_words(name, said):
+    """Contradictions of one output, the largest first, as a finding."""
     words = "; ".join(f"{one.words} (by {one.by:.0%} of P)" for one in said[:WORDS_AT_MOST])
-    sentence = (
+    return (
         f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
         "leave such trials or times out, by isel, or move the input less"
     )
-    return _Contradicted((sentence,), said[0].by)

@@ -124,25 +124,18 @@ def _check_inputs_and_outputs(moves, inputs, outputs, first, source):
 def _groups(moves, known, sizes):
     """Trials by their length: in all of one length the same disturbance may repeat."""
     alike = {}
-    for one, disturbance in zip(moves, known, strict=True):
-        trials = Trials(
-            u=one.u / sizes.inputs,
-            y=one.y / sizes.outputs,
-            names=one.titles,
-            disturbance=disturbance,
-        )
+    for one, disturbances in zip(moves, known, strict=True):
+        u = np.concatenate([one.u / sizes.inputs, disturbances], axis=2)
+        trials = Trials(u, one.y / sizes.outputs, one.titles, disturbances.shape[2])
         alike.setdefault(one.y.shape[1], []).append(trials)
-    return tuple(_joined(trials) for trials in alike.values())
-
-
-def _joined(alike):
-    """Trials of one length as one group."""
-    known = [trials.disturbance for trials in alike]
-    return Trials(
-        u=np.concatenate([trials.u for trials in alike]),
-        y=np.concatenate([trials.y for trials in alike]),
-        names=tuple(name for trials in alike for name in trials.names),
-        disturbance=None if known[0] is None else np.concatenate(known),
+    return tuple(
+        Trials(
+            u=np.concatenate([trials.u for trials in group]),
+            y=np.concatenate([trials.y for trials in group]),
+            names=tuple(name for trials in group for name in trials.names),
+            known=group[0].known,
+        )
+        for group in alike.values()
     )
 
 
@@ -156,11 +149,11 @@ def _source_of(logs, asked):
 def _known_disturbances(moves, inputs):
     """Names of the disturbances that move in any log, and their moves in each of them.
 
-    The moves are in units of their RMS, (trial, time, disturbance); None if nothing moves.
+    The moves are in units of their RMS, (trial, time, disturbance).
     """
     names = dict.fromkeys(name for one in moves for name in one.disturbance if one.moves(name))
     if not names:
-        return (), [None] * len(moves)
+        return (), [one.y[..., :0] for one in moves]
     known = []
     for one in moves:
         rest = np.zeros(one.y.shape[:2])

@@ -225,7 +225,7 @@ def trials_of(gains, N=200, direct=0.0):
     y = y + lfilter([direct, 1.0], [1, -0.9], d) + 0.003 * rng.standard_normal((K, N))
     y = y - y[:, :1]
     names = tuple(f"trial {k}" for k in range(K))
-    return [Trials(u=u[..., None], y=y[..., None], names=names, disturbance=d[..., None])]
+    return [Trials(u=np.stack([u, d], axis=2), y=y[..., None], names=names, known=1)]
 
 
 def test_a_contradiction_is_by_how_much_of_P_whatever_the_disturbance_does():
@@ -257,7 +257,7 @@ def test_without_disturbances_the_regression_has_the_commanded_inputs_alone():
     u = np.repeat(rng.standard_normal((2, 100)), 2, axis=1)
     y = control.forced_response(plant, np.arange(200), u).outputs
     estimate = measured_response(log_of(u, y + 0.01 * rng.standard_normal(y.shape)))
-    assert estimate.fits[0].channels == (2, 2)
+    assert estimate.fits[0].commanded == 2
     assert estimate.fits[0].impulse(5).shape == (2, 5)
 
 

@@ -39,9 +39,9 @@ class Regressors(NamedTuple):
 
 def regressors(series: Series, layout: Layout) -> Regressors:
     """X' of a series, in the order of the layout's unknowns."""
-    N, m = series.inputs.shape
+    N = len(series.y)
     knots = (layout.knots_of_A, *layout.knots_of_B)
-    by_lags = [lagged(x, at) for x, at in zip([-series.y, *series.inputs.T], knots, strict=True)]
+    by_lags = [lagged(x, at) for x, at in zip([-series.y, *series.u.T], knots, strict=True)]
     first = layout.where(Kind.SLOW, 0).start  # behind A and all B
     others = np.zeros((layout.size - first, N))
 
@@ -49,8 +49,7 @@ def regressors(series: Series, layout: Layout) -> Regressors:
         where = layout.where(kind, owner)
         return others[where.start - first : where.stop - first]
 
-    for j in range(m):
-        u = series.inputs[:, j]
+    for j, u in enumerate(series.u.T):
         rows_of(Kind.SLOW, j)[:] = [lfilter([0, 1 - p], [1, -p], u) for p in layout.poles]
     if not layout.skipped:
         at_first = np.arange(N) == 0
@@ -81,16 +80,17 @@ def lagged(signal: np.ndarray, knots: np.ndarray) -> Callable[[slice], np.ndarra
     return lambda stretch: now[stretch] - earlier[which, before - 1 - knots, stretch]
 
 
-class Products(NamedTuple):
-    """Z Z' of rows Z = [X, y, ...]' without offset and slope, and of how many samples.
+class Data(NamedTuple):
+    """All that the records say of the unknowns of a layout: products Z Z' of Z = [X, y, ...]'.
 
-    Apart for means over trials, which have a weight of their own.
+    Z is without offset and slope. Means over trials are apart, as they have a weight of their own.
     """
 
+    layout: Layout
     single: np.ndarray  # of differences between trials, and of trials that are alone
     means: np.ndarray  # of means over several trials
-    samples: int  # n, less two of each series for offset and slope
-    samples_of_means: int  # n_1, which are among them
+    n: int  # samples, less two of each series for offset and slope
+    n_1: int  # those of means, which are among them
 
     def weighted(self, weight: float) -> np.ndarray:
         """The products of all series, with a weight for the means."""
@@ -98,23 +98,22 @@ class Products(NamedTuple):
 
 
 def products(
-    groups: Sequence[Trials], layout: Layout, beside: Callable[[Series], np.ndarray] | None = None
-) -> Products:
+    groups: Sequence[Trials], layout: Layout, beside: Callable[[Series], Sequence] = lambda _: ()
+) -> Data:
     """The products of [X, y], and of more rows behind them.
 
     `beside` returns these rows of a series, (row, time).
     """
-    single, means, samples, samples_of_means = 0.0, 0.0, 0, 0
+    single, means, n, n_1 = 0.0, 0.0, 0, 0
     for series in series_of(groups):
         Z = regressors(series, layout)
-        more = () if beside is None else beside(series)
-        Z = Z._replace(others=np.vstack([Z.others, series.y, *more]))
+        Z = Z._replace(others=np.vstack([Z.others, series.y, *beside(series)]))
         for rows in _without_line(Z, len(series.y), layout.skipped):
             added = rows @ rows.T
             single, means = single + added * (not series.is_mean), means + added * series.is_mean
-        n = len(series.y) - layout.skipped - 2
-        samples, samples_of_means = samples + n, samples_of_means + n * series.is_mean
-    return Products(single, means, samples, samples_of_means)
+        own = len(series.y) - layout.skipped - 2
+        n, n_1 = n + own, n_1 + own * series.is_mean
+    return Data(layout, single, means, n, n_1)
 
 
 def _without_line(Z, N, skipped):
@@ -127,18 +126,6 @@ def _without_line(Z, N, skipped):
         yield Z.rows(now) - along @ line[now].T
 
 
-class Data(NamedTuple):
-    """All that the records say of the unknowns of a layout: products of [X, y]."""
-
-    products: Products
-    layout: Layout
-
-    @property
-    def n(self) -> int:
-        """Samples, less two of each series."""
-        return self.products.samples
-
-
 def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=None) -> Data:
     """What trials say for some delays.
 
@@ -146,10 +133,10 @@ def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=Non
     known.
     """
     layout = layout_of(groups, direct, delays)
-    found = products(groups, layout)
+    data = products(groups, layout)
     for j, known in enumerate(() if gain is None else gain):
-        found = found._replace(single=found.single + _at_rest(layout, j, known))
-    return Data(found, layout)
+        data = data._replace(single=data.single + _at_rest(layout, j, known))
+    return data
 
 
 def _at_rest(layout, j, known):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx.delay import Search, with_delays
+from ilctools.measurement.arx.delay import with_delays
 from ilctools.measurement.arx.trials import Trials
 
 
@@ -40,7 +40,7 @@ def late_lag(seed, excite, N=600):
 def test_a_long_delay_is_found(seed, excite):
     """Up to 10 % before the truth, or as much behind it as noise hides: a fiftieth."""
     groups, delay = late_lag(seed, excite)
-    fit = with_delays(Search(groups, True, None), np.zeros(1, int))
+    fit = with_delays(groups, True, np.zeros(1, int))
     assert 0.9 * delay < fit.data.layout.knots_of_B[0][0] < 1.02 * delay
 
 
@@ -50,7 +50,7 @@ def test_no_delay_is_looked_for_where_the_answer_is_at_once():
     u = held(rng, 300)
     y = lfilter([0, 0.3], [1, -0.7], u) + 0.03 * rng.standard_normal(300)
     groups = [Trials(u=u[None, :, None], y=y[None, :, None], names=("trial 1",))]
-    fit = with_delays(Search(groups, True, None), np.zeros(1, int))
+    fit = with_delays(groups, True, np.zeros(1, int))
     assert fit.data.layout.knots_of_B[0][0] == 0
-    known = with_delays(Search(groups, True, None), np.ones(1, int))
+    known = with_delays(groups, True, np.ones(1, int))
     assert known.data.layout.knots_of_B[0][0] == 1
