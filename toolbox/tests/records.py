@@ -20,7 +20,7 @@ def dense(groups, layout):
     """[X, y], without offset and slope, and which rows are of means."""
     rows, means = [], []
     for series in series_of(groups):
-        columns = np.vstack([regressors(series, layout).rows(slice(None)), series.y]).T
+        columns = np.vstack([regressors(series, layout), series.y]).T
         rows.append(detrend(columns[layout.skipped :], axis=0))
         means += [series.is_mean] * len(rows[-1])
     return np.concatenate(rows), np.array(means)

@@ -38,11 +38,6 @@ class Sizes(NamedTuple):
     inputs: np.ndarray  # (m,)
     outputs: np.ndarray  # (p,)
 
-    @classmethod
-    def of(cls, moves: Sequence["_Moves"]) -> "Sizes":
-        """Over all logs."""
-        return cls(_sizes([one.u for one in moves]), _sizes([one.y for one in moves]))
-
 
 @dataclass(frozen=True)
 class Record:
@@ -50,7 +45,6 @@ class Record:
 
     groups: tuple[Trials, ...]  # of each length
     inputs: list[str]
-    outputs: list[str]
     sizes: Sizes
     delay: np.ndarray  # after which y answers at the earliest, (input,), samples
     direct: bool  # whether y(t) may depend on the inputs at t, or when the delay is over
@@ -70,14 +64,16 @@ class Record:
         loop = _loop_of(logs[0], source)
         inputs = loop.learned if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
-        _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
+        u, y, first = [one.u for one in moves], [one.y for one in moves], next(iter(named))
+        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+        check_moved(u, inputs, f"{first}.{source}", remedy)
+        check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
         disturbances, known = _known_disturbances(moves, inputs)
-        sizes = Sizes.of(moves)
+        sizes = Sizes(_sizes(u), _sizes(y))
         return cls(
             groups=_groups(moves, known, sizes),
             inputs=inputs,
-            outputs=loop.outputs,
             sizes=sizes,
             delay=delay,
             direct=source == "w" or "reference" not in logs[0] or delay.min() > 0,
@@ -108,17 +104,6 @@ class _Moves(NamedTuple):
     y: np.ndarray
     disturbance: dict[str, np.ndarray]  # (trial, time) each, by name
     titles: tuple[str, ...]  # of the trials, in messages
-
-    def moves(self, name: str) -> bool:
-        """Whether a disturbance moves within a trial."""
-        return bool(self.disturbance[name].any())
-
-
-def _check_inputs_and_outputs(moves, inputs, outputs, first, source):
-    """Refuse inputs and outputs that stand still in all logs; `first`: the name of the first."""
-    remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
-    check_moved([one.u for one in moves], inputs, f"{first}.{source}", remedy)
-    check_moved([one.y for one in moves], outputs, f"{first}.y", "is it connected?")
 
 
 def _groups(moves, known, sizes):
@@ -151,7 +136,7 @@ def _known_disturbances(moves, inputs):
 
     The moves are in units of their RMS, (trial, time, disturbance).
     """
-    names = dict.fromkeys(name for one in moves for name in one.disturbance if one.moves(name))
+    names = {name: 0 for one in moves for name, signal in one.disturbance.items() if signal.any()}
     if not names:
         return (), [one.y[..., :0] for one in moves]
     known = []

@@ -6,7 +6,7 @@ from records import dense, trials_of
 from scipy.optimize import approx_fprime
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx import regressors, unknowns
+from ilctools.measurement.arx import unknowns
 from ilctools.measurement.arx.likelihood import likeliest, negative_log_posterior, polished
 from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, Hyperparameters, prior
 from ilctools.measurement.arx.regressors import data_of
@@ -20,9 +20,8 @@ from ilctools.measurement.arx.trials import Trials
 def test_the_likelihood_is_that_of_the_normal_distribution(
     monkeypatch, lengths, trials, starts, kept
 ):
-    """Of all samples, some at a time; where starts are too many, without the first."""
+    """Of all samples; where starts are too many, without the first."""
     monkeypatch.setattr(unknowns, "MOST_OF_STARTS", starts)
-    monkeypatch.setattr(regressors, "STRETCH", 16)
     groups = [trials_of(trials, N, seed=N) for N in lengths]
     data = data_of(groups, True, np.array([0, 7]))
     rows, means = dense(groups, data.layout)

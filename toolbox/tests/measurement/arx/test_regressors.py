@@ -5,7 +5,6 @@ import pytest
 from records import dense, trials_of
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx import regressors as module
 from ilctools.measurement.arx.regressors import data_of, products, regressors
 from ilctools.measurement.arx.trials import series_of
 from ilctools.measurement.arx.unknowns import Kind, coefficients, layout_of
@@ -16,7 +15,7 @@ def test_each_regressor_is_the_response_to_a_signal():
     groups = [trials_of(2)]
     layout = layout_of(groups, True, np.array([0, 7]))
     for series in series_of(groups):
-        X = regressors(series, layout).rows(slice(None))
+        X = regressors(series, layout)
 
         def moved(signal, knots, increment):
             g = coefficients(np.eye(len(knots))[increment], knots, 60)
@@ -40,10 +39,8 @@ def test_each_regressor_is_the_response_to_a_signal():
         np.testing.assert_allclose(drift[:, [0, -1]], np.tile(ends, (len(drift), 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize("stretch", [7, 2048])
-def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
-    """Stretch by stretch, and with a column beside them that is found by the key of its series."""
-    monkeypatch.setattr(module, "STRETCH", stretch)
+def test_products_are_those_of_all_rows_at_once():
+    """And with a column beside them that is found by the key of its series."""
     groups = [trials_of(2), trials_of(1, N=40)]
     layout = layout_of(groups, True, np.array([0, 7]))
     rows, means = dense(groups, layout)
