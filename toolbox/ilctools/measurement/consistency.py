@@ -62,11 +62,13 @@ FOLLOWS = (
 
 
 class Hypothesis(NamedTuple):
-    """What no linear plant does: columns of Z, behind those of one gain more of each input."""
+    """What no linear plant does: columns of Z."""
 
     words: str
-    columns: list[int]
-    relative_to: list[int]  # the columns whose power stands for P
+    columns: int
+    # Of a part the first column is its own output, whose power stands for P; of others, the power
+    # of the gains of all commanded inputs does.
+    of_part: bool
 
 
 class Contradiction(NamedTuple):
@@ -106,9 +108,11 @@ def contradictions(
     if fit.stable:
         found, gains = score(fit, groups, columns_of(fit, groups)), [*range(groups[0].u.shape[2])]
         of_gains = found.explained(gains)
-        for words, columns, relative_to in asked:
-            k, more = len(columns), max(found.explained(gains + columns) - of_gains, 0)
-            by = np.sqrt(more / found.power_of(relative_to))
+        first = len(gains)  # of the columns of a hypothesis
+        for words, k, of_part in asked:
+            columns, first = [*range(first, first + k)], first + k
+            more = max(found.explained(gains + columns) - of_gains, 0)
+            by = np.sqrt(more / found.power_of(columns[:1] if of_part else gains[: fit.commanded]))
             F = n * more / k / fit.posterior.r  # (2)
             if by > SEEN and fdtrc(k, n, F) < level:
                 yield Contradiction(words, by)
@@ -118,18 +122,11 @@ def contradictions(
 
 def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
     """All that are tested, in the order of their columns in `columns_of`."""
-    m, first, asked = groups[0].commanded, groups[0].u.shape[2], []
-    parts = [name for group in groups for name in _parts(group)]
-    for words, k in [*((name, 2) for name in parts), (PLAY, m), (CURVED, 2 * m + 2)]:
-        columns, first = [*range(first, first + k)], first + k
-        # of a part its own output stands for P, as the gains stand for that in all of them
-        asked.append(Hypothesis(words, columns, columns[:1] if words in parts else [*range(m)]))
-    return asked
-
-
-def _parts(group):
-    """Names of the trials, or of the course of a single one."""
-    return group.names if len(group.y) > 1 else [f"the course of {group.names[0]}"]
+    m, asked = groups[0].commanded, []
+    for group in groups:
+        alone = len(group.y) == 1
+        asked += [Hypothesis(f"the course of {k}" if alone else k, 2, True) for k in group.names]
+    return [*asked, Hypothesis(PLAY, m, False), Hypothesis(CURVED, 2 * m + 2, False)]
 
 
 def score(

@@ -261,10 +261,12 @@ def estimated_response(
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
     findings = (*estimate._unsettled(), *contradictory)
     if not estimate.known.any():
+        known = f", or as {', '.join(record.disturbances)} did" if record.disturbances else ""
         raise LogError(
             "; ".join(contradictory)
             or f"P is identified at no frequency: the response to {', '.join(record.inputs)} is "
-            "below the noise, or they moved alike. Record longer, or move them more, each by itself"
+            f"below the noise, or they moved alike{known}. Record longer, or move them more, each "
+            "by itself"
         )
     return replace(estimate, findings=findings)
 

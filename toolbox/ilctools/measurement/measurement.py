@@ -59,9 +59,9 @@ def measured_response(
     LogError
         If a record of :func:`shake` lacks an experiment, or w is not the excitation; if an input or
         an output never moved, or moves by less than 1e-30 or more than 1e30 in its unit; of other
-        records, if a trial has fewer than 20 samples, an output does not settle, P is identified
-        nowhere, or a known disturbance moves exactly as inputs do. A record without noise is
-        accepted: rounding counts as its noise.
+        records, if a trial has fewer than 20 samples, an output does not settle, or P is identified
+        nowhere: also where a known disturbance moves exactly as inputs do. A record without noise
+        is accepted: rounding counts as its noise.
 
     Warns
     -----

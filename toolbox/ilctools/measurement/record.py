@@ -24,9 +24,6 @@ FEWEST_SAMPLES = 20  # of a trial
 AXES = "trial", "time", ...
 # A disturbance that moves less, relative to its size, is constant but for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
-# A disturbance that differs from moves of inputs by less, relative to its own, is one of them: a
-# log has three or four digits of each.
-ALIKE = 1e-3
 # In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
 # most 1e240: a double still holds it. No quantity that a rig has is of such a size in SI units.
 LARGEST_MOVES, SMALLEST_MOVES = 1e30, 1e-30
@@ -69,7 +66,7 @@ class Record:
         check_moved(u, inputs, f"{first}.{source}", remedy)
         check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
-        disturbances, known = _known_disturbances(moves, inputs)
+        disturbances, known = _known_disturbances(moves)
         sizes = Sizes(_sizes(u), _sizes(y))
         return cls(
             groups=_groups(moves, known, sizes),
@@ -131,7 +128,7 @@ def _source_of(logs, asked):
     return arguments.choice("of", asked, ["u", "w"])
 
 
-def _known_disturbances(moves, inputs):
+def _known_disturbances(moves):
     """Names of the disturbances that move in any log, and their moves in each of them.
 
     The moves are in units of their RMS, (trial, time, disturbance).
@@ -144,24 +141,7 @@ def _known_disturbances(moves, inputs):
         rest = np.zeros(one.y.shape[:2])
         known.append(np.stack([one.disturbance.get(name, rest) for name in names], axis=2))
     check_moved(known, names, "disturbance", "leave it out")
-    _check_apart(inputs, [one.u for one in moves], names, known)
     return tuple(names), [x / _sizes(known) for x in known]
-
-
-def _check_apart(inputs, u, moving, known):
-    """Refuse a known disturbance that is a sum of inputs: nothing shows which of them moved y."""
-    U, D = _about_their_means(u), _about_their_means(known)
-    U = U / np.linalg.norm(U, axis=0)
-    shares = np.linalg.lstsq(U, D, rcond=None)[0]
-    left = np.linalg.norm(D - U @ shares, axis=0) / np.linalg.norm(D, axis=0)
-    for name, rest, parts in zip(moving, left, shares.T, strict=True):
-        if rest < ALIKE:
-            as_which = np.array(inputs)[np.abs(parts) > ALIKE * np.abs(parts).max()]
-            raise LogError(
-                f"disturbance {name} moves as {', '.join(as_which)}: nothing shows which of them "
-                f"moved y. Leave it out, log.sel(source=log.source != {name!r}), or record while "
-                "they move apart"
-            )
 
 
 def _loop_of(log, source):
@@ -269,11 +249,6 @@ def check_moved(signals, names, what, remedy):
 
 
 def _sizes(signals):
-    """Root mean square of the moves of signals (trial, time, channel)."""
-    return np.sqrt(np.mean(_about_their_means(signals) ** 2, axis=0))
-
-
-def _about_their_means(signals):
-    """Signals (trial, time, channel) of each record less the mean of each trial, as one table."""
+    """Root mean square of the moves of signals (trial, time, channel), about each trial's mean."""
     moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
-    return np.concatenate(moves)
+    return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))

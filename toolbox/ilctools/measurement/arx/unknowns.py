@@ -30,9 +30,9 @@ SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
 TIME_CONSTANTS = np.array([1.0, 3.0])  # of slow parts, in 1 / (the longest trial)
 # Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP: up to
-# an eighth of the lag, which saves time. For starts both numbers are divided by these.
+# an eighth of the lag, which saves time. Those of starts are coarser.
 CLOSE_KNOTS, KNOTS_STEP = 40, 8
-COARSER_CLOSE, COARSER_STEP = 6, 2
+CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS = 6, 4
 MOST_OF_STARTS = 300  # unknowns of all starts, for the time they take; with more, first samples go
 DRIFT_KNOTS = 64  # of a drift, between which it is straight
 
@@ -153,7 +153,7 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
     )
     keys, late = keys_of(groups), max(delays)
     # An input that rested elsewhere before is still on its way until the latest delay.
-    coarse = knots_between(0, reach, CLOSE_KNOTS // COARSER_CLOSE, KNOTS_STEP // COARSER_STEP)
+    coarse = knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
     start = np.unique(np.append(0, late + coarse))
     has_starts = len(keys) * len(start) <= MOST_OF_STARTS
     poles = np.exp(-TIME_CONSTANTS / longest)
