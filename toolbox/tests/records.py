@@ -1,10 +1,55 @@
-"""The regression of records, written out: every row of the regressors at once."""
+"""Records of plants, and their regression written out: every row of the regressors at once."""
 
+import control
 import numpy as np
+import xarray as xr
 from scipy.signal import detrend, lfilter
 
 from ilctools.measurement.arx.regressors import regressors
 from ilctools.measurement.arx.trials import Trials, series_of
+from ilctools.models import frequency_response
+from ilctools.singular_values import largest_singular_values
+
+
+def held(rng, samples, *shape):
+    """Noise that is held for some samples, (..., time)."""
+    *others, N = shape
+    return np.repeat(rng.standard_normal((*others, N // samples + 1)), samples, axis=-1)[..., :N]
+
+
+def log_of(u, y, Ts=1.0, d=()):
+    """One trial from commands (input, time) and known disturbances to outputs (output, time)."""
+    variables, coordinates = {}, {"trial": [1], "time": Ts * np.arange(y.shape[1])}
+    roles = ("control", "input", "u", u), ("output", "channel", "y", y)
+    for role, dimension, name, rows in (*roles, ("source", "source", "disturbance", d)):
+        if len(rows):
+            variables[name] = ("trial", "time", dimension), np.transpose(rows)[None]
+            coordinates[role] = dimension, [f"{name[0]}{i}" for i in range(len(rows))]
+            coordinates[f"{role}_unit"] = dimension, [""] * len(rows)
+    return xr.Dataset(variables, coordinates, {"Ts": Ts})
+
+
+def answer(plant, u):
+    """Outputs of a model to inputs from rest, (channel, time)."""
+    return control.forced_response(plant, inputs=u, squeeze=False).outputs
+
+
+def moved(plant, N, seed=0, noise=0.02, samples=3):
+    """A log of a model under noise that is held, from rest."""
+    rng = np.random.default_rng(seed)
+    u = held(rng, samples, plant.ninputs, N)
+    y = answer(plant, u)
+    y = y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return log_of(u, y, plant.dt)
+
+
+def error(estimate, plant):
+    return largest_singular_values(estimate.response - frequency_response(plant, estimate.omega))
+
+
+def covers(estimate, plant):
+    """Whether the joint region of 99 % has the truth in it."""
+    return np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True) + 1e-9)
 
 
 def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
@@ -14,6 +59,12 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
     y = sum(lfilter([0, j + 1.0], [1, -0.6], u[..., j]) for j in range(m))
     y = y + noise * rng.standard_normal((trials, N))
     return Trials(u=u, y=y[..., None], names=tuple(f"trial {k}" for k in range(trials)))
+
+
+def group_of(y, *u, known=0):
+    """Trials from inputs to one output, (trial, time) each, all relative to the first sample."""
+    y, *u = (x - x[:, :1] for x in (y, *u))
+    return Trials(np.stack(u, 2), y[..., None], tuple(f"trial {k}" for k in range(len(y))), known)
 
 
 def dense(groups, layout):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from records import dense, trials_of
+from records import dense, group_of, held, trials_of
 from scipy.optimize import approx_fprime
 from scipy.signal import lfilter
 
@@ -10,7 +10,6 @@ from ilctools.measurement.arx import unknowns
 from ilctools.measurement.arx.likelihood import likeliest, negative_log_posterior, polished
 from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, Hyperparameters, prior
 from ilctools.measurement.arx.regressors import data_of
-from ilctools.measurement.arx.trials import Trials
 
 
 @pytest.mark.parametrize(
@@ -41,30 +40,21 @@ def test_the_likelihood_is_that_of_the_normal_distribution(
     np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=1e-3)
 
 
-def held(rng, N, samples):
-    return np.repeat(rng.standard_normal(N // samples), samples)
-
-
 def with_noise_like_a_drift(seed):
     """One trial with coloured noise."""
     rng = np.random.default_rng(seed)
-    u = held(rng, 60, 3)[None]
+    u = held(rng, 3, 1, 60)
     noise = lfilter([1], [1, -0.9], 0.02 * rng.standard_normal(60))
-    return group_of(u, lfilter([0, 0.2], [1, -0.8], u) + noise)
+    return group_of(lfilter([0, 0.2], [1, -0.8], u) + noise, u)
 
 
 def with_what_repeats(seed):
     """Two trials with a random walk that repeats."""
     rng = np.random.default_rng(seed)
-    u = np.stack([held(rng, 60, 5), held(rng, 60, 5)])
+    u = held(rng, 5, 2, 60)
     repeats = np.cumsum(0.3 * rng.standard_normal(60))
     noise = 0.03 * rng.standard_normal(u.shape)
-    return group_of(u, lfilter([0, 0.2], [1, -0.8], u) + repeats + noise)
-
-
-def group_of(u, y):
-    y = y - y[:, :1]
-    return Trials(u=u[..., None], y=y[..., None], names=("",) * len(u))
+    return group_of(lfilter([0, 0.2], [1, -0.8], u) + repeats + noise, u)
 
 
 @pytest.mark.parametrize(
