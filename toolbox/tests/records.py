@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import xarray as xr
+from numpy.polynomial.polynomial import polyadd
 from scipy.signal import detrend, lfilter
 
 from ilctools.measurement.arx.regressors import regressors
@@ -15,6 +16,33 @@ def held(rng, samples, *shape):
     """Noise that is held for some samples, (..., time)."""
     *others, N = shape
     return np.repeat(rng.standard_normal((*others, N // samples + 1)), samples, axis=-1)[..., :N]
+
+
+def steps(rng, N):
+    """A step test: a rest, one up, one down, one back, none of them of the same length."""
+    ends = np.cumsum(rng.uniform([0.03, 0.3, 0.25], [0.1, 0.4, 0.35]))
+    return np.select([np.arange(N) < end * N for end in ends], [0, 1, -0.5], 0.4)
+
+
+def backlash(u, gap):
+    """What is behind a gap, which begins in its middle (the play operator)."""
+    behind, x = np.zeros(len(u)), 0.0
+    for t, ahead in enumerate(u):
+        behind[t] = x = min(max(x, ahead - gap / 2), ahead + gap / 2)
+    return behind
+
+
+def in_a_loop(plant, controller, r, noise):
+    """u and y of u = c / d (r - y), y = b / a u + noise, polynomials of 1 / z."""
+    (b, a), (c, d) = plant, controller
+    characteristic = polyadd(np.convolve(a, d), np.convolve(b, c))
+    u = lfilter(np.convolve(c, a), characteristic, r - noise)
+    return u, lfilter(b, a, u) + noise
+
+
+def dead(u, zone):
+    """Nothing as long as |u| is less than half the zone, from there on as much less."""
+    return u - np.clip(u, -zone / 2, zone / 2)
 
 
 def log_of(u, y, Ts=1.0, d=()):

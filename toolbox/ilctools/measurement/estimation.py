@@ -52,7 +52,7 @@ FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes 
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 HANKEL_ROWS = 300  # samples; states of a model at most
 ROUNDING_OF_HANKEL = 1e-12  # of the largest singular value, below which it is rounding
-FREQUENCIES = 200  # at which P is stated
+STATED_FREQUENCIES = 200  # at which P is stated
 WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
 UNSTABLE = 0.77  # smaller, it is said of fewer plants that do not settle; larger, of more that do
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
@@ -257,7 +257,7 @@ def estimated_response(
             contradictory.append(_in_words(name, said))
             apart = max(apart, said[0].by)
     nyquist = np.pi / record.loop.Ts
-    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, FREQUENCIES)
+    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, STATED_FREQUENCIES)
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
     findings = (*estimate._unsettled(), *contradictory)
     if not estimate.known.any():

@@ -21,7 +21,6 @@ from ilctools.measurement.arx.trials import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
 FEWEST_SAMPLES = 20  # of a trial
-AXES = "trial", "time", ...
 # A disturbance that moves less, relative to its size, is constant but for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
 # In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
@@ -55,6 +54,7 @@ class Record:
     ) -> "Record":
         """Of a log or several; `source` and `delay` as for :func:`ilctools.measured_response`."""
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
+        logs = [log.transpose("trial", "time", ...) for log in logs]
         named = {f"log[{i}]" if len(logs) > 1 else "log": log for i, log in enumerate(logs)}
         check_match(**{name: Signals.of_log(log) for name, log in named.items()})
         source = _source_of(logs, source)
@@ -136,10 +136,10 @@ def _known_disturbances(moves):
     names = {name: 0 for one in moves for name, signal in one.disturbance.items() if signal.any()}
     if not names:
         return (), [one.y[..., :0] for one in moves]
-    known = []
-    for one in moves:
-        rest = np.zeros(one.y.shape[:2])
-        known.append(np.stack([one.disturbance.get(name, rest) for name in names], axis=2))
+    known = [
+        np.stack([one.disturbance.get(name, 0 * one.y[..., 0]) for name in names], axis=2)
+        for one in moves
+    ]
     check_moved(known, names, "disturbance", "leave it out")
     return tuple(names), [x / _sizes(known) for x in known]
 
@@ -156,8 +156,7 @@ def _moves(name, log, source):
     """Inputs, outputs and known disturbances, from before each trial on."""
     u, before, others = _inputs(name, log, source)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
-    y = log.y.transpose(*AXES).values
-    y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
+    y = arguments.array(f"{name}.y", log.y.values, (*u.shape[:2], "channel"))
     if len(y[0]) < FEWEST_SAMPLES:
         raise LogError(
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST_SAMPLES} or more"
@@ -181,14 +180,14 @@ def _inputs(name, log, source):
     if source == "u" and "u" not in log:
         raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
     if source == "u":  # commands rest at their own first row
-        u = log.get("applied", log.u).transpose(*AXES).values
+        u = log.get("applied", log.u).values
         return u, u, {}
-    limits, loop, r = limits_of(log), loop_of(log), log.reference.transpose(*AXES).values
+    limits, loop, r = limits_of(log), loop_of(log), log.reference.values
     if loop is None and "input" in log.coords:
         raise LogError(f"{name} has a v of inputs, but names no loop that says what else they take")
-    v = log.v.transpose(*AXES).values if "v" in log else 0 * r
+    v = log.v.values if "v" in log else 0 * r
     if limits and loop:  # v that asks for what was applied
-        asked = np.asarray(loop.asked(log.transpose(*AXES)))
+        asked = np.asarray(loop.asked(log))
         v = loop.realised(v, asked, Actuators.of(limits, loop).follow(asked))
     if loop is None or loop.one_for_one:
         return r + v, r, {}  # w rests at the reference's first row
@@ -207,8 +206,7 @@ def _disturbances_of(name, log, shape):
     """The known disturbances of a log, (trial, time) each, by name."""
     if "disturbance" not in log:
         return {}
-    signals = log.disturbance.transpose(*AXES).values
-    signals = arguments.array(f"{name}.disturbance", signals, (*shape, "source"))
+    signals = arguments.array(f"{name}.disturbance", log.disturbance.values, (*shape, "source"))
     names = arguments.different(f"{name}.source", log.source.values.tolist())
     return dict(zip(names, np.moveaxis(signals, 2, 0), strict=True))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from problems import memory
-from records import dense, group_of, held
+from records import backlash, dead, dense, group_of, held, in_a_loop
 from scipy.signal import detrend, lfilter
 
 from ilctools.measurement.arx.regression import regression
@@ -65,39 +65,25 @@ def test_two_levels_are_not_curved(held):
 def test_a_dead_zone_and_backlash_are_said_but_not_what_is_hardly_curved():
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        u, x = np.repeat(rng.standard_normal((1, 40)), 10, axis=1), 0.0
-        behind = np.zeros_like(u)
-        for t, ahead in enumerate(u[0]):
-            behind[0, t] = x = np.clip(x, ahead - 0.15, ahead + 0.15)
+        u = np.repeat(rng.standard_normal((1, 40)), 10, axis=1)
+        behind = backlash(u[0], 0.3)[None]
         assert PLAY in said([group_of(lagged(behind, rng), u)])
-        assert CURVED in said([group_of(lagged(u - np.clip(u, -0.3, 0.3), rng), u)])
+        assert CURVED in said([group_of(lagged(dead(u, 0.6), rng), u)])
         assert not said([group_of(lagged(u + 0.003 * u**3, rng, 1e-4), u)])
 
 
-def loop(rng, moves, c, integral, N=600):
-    """Of u = C (r - y), C = c0 + c1 / z, over 1 - 1 / z if integral; v is coloured noise."""
-    u, y, r = np.zeros(N), np.zeros(N), moves * np.repeat(rng.standard_normal(N // 3), 3)
-    v = lfilter([0.05], [1, -0.9], rng.standard_normal(N))
-    e = np.zeros(N)
-    for t in range(1, N):
-        y[t] = 0.7 * (y[t - 1] - v[t - 1]) + 0.3 * u[t - 1] + v[t]
-        e[t] = r[t] - y[t]
-        u[t] = c[0] * e[t] + c[1] * e[t - 1] + integral * u[t - 1]
-    return [group_of(y[None], u[None])]
-
-
 @pytest.mark.parametrize(
-    "given",
-    [
-        {"moves": 0.0, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.05, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.0, "c": (1.5, -0.5), "integral": 0},
-    ],
+    ("moves", "controller"),
+    [(0.0, ([0.32, -0.3], [1, -1])), (0.05, ([0.32, -0.3], [1, -1])), (0.0, ([1.5, -0.5], [1]))],
 )
-def test_a_loop_without_its_reference_is_said(given):
+def test_a_loop_without_its_reference_is_said(moves, controller):
     """What is estimated is -1 / C, at a radius of nothing."""
     for seed in range(2):
-        assert FOLLOWS in said(loop(np.random.default_rng(seed), **given), False)
+        rng = np.random.default_rng(seed)
+        r = moves * held(rng, 3, 600)
+        noise = lfilter([0.05], [1, -0.9], rng.standard_normal(600))
+        u, y = in_a_loop(([0, 0.3], [1, -0.7]), controller, r, noise)
+        assert FOLLOWS in said([group_of(y[None], u[None])], False)
 
 
 @pytest.mark.parametrize("direct", [0, 1])

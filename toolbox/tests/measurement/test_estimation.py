@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from plants import lag, stage, tanks
-from records import covers, held, log_of, moved
+from plants import lag, lags, stage, tanks
+from records import answer, covers, held, in_a_loop, log_of, moved
 from scipy.signal import lfilter
 
-from ilctools import measured_response
+from ilctools import current_trial_loop, measured_response
+from ilctools.law.notes import loop_note
 from ilctools.measurement.estimation import quantile
+from ilctools.signals import dataset
 
 LAG = lag()
 SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
@@ -63,7 +65,20 @@ def test_a_loop_whose_reference_is_not_known_is_refused():
     rng = np.random.default_rng(0)
     noise = lfilter([1], [1, -0.5], rng.standard_normal(600))
     reference = 3 * held(rng, 20, 600)
-    u = lfilter([2, -1.8], [1, -0.7], reference - noise)  # 2 (reference - y), around LAG
-    log = log_of(u[None], (lfilter([0, 0.1], [1, -0.9], u) + noise)[None])
+    u, y = in_a_loop(([0, 0.1], [1, -0.9]), ([2], [1]), reference, noise)
+    log = log_of(u[None], y[None])
     with pytest.raises(ValueError, match="u follows y"):
         measured_response([log, log.assign(reference=log.y)])
+
+
+def test_a_loop_whose_observer_integrates_is_known_at_rest():
+    """If the log names it."""
+    loop, rng = current_trial_loop(lags()), np.random.default_rng(0)
+    w = held(rng, 20, 2, 100)
+    y = answer(loop.P, w - w[:, :1]) + 0.05 * rng.standard_normal(w.shape)
+    r, y = (signal.T[None] for signal in (w, y))
+    log = dataset(loop.Ts, loop.outputs, loop.controls, [], {}, reference=r, v=0 * r, y=y)
+    named = log.assign_attrs(loop=loop_note(loop))
+    (P, radius), (_, wide) = (measured_response(one).on([1e-4]) for one in (named, log))
+    np.testing.assert_allclose(P[0].real, np.eye(2), atol=1e-4)
+    assert radius < 0.01 < 0.5 < wide

@@ -3,14 +3,12 @@
 import control
 import numpy as np
 import pytest
-from plants import furnace, lag
+from plants import furnace
 from records import covers, moved
 
 from ilctools import measured_response
 from ilctools.errors import LogError
 from ilctools.measurement import estimation
-from ilctools.measurement.arx.regression import regression
-from ilctools.measurement.record import Record
 
 
 @pytest.mark.parametrize("shape", [(1, 2), (2, 1)])
@@ -36,12 +34,3 @@ def test_a_known_delay_is_less_to_estimate(monkeypatch):
     for delay in (-1, 0.5, [1, 2]):
         with pytest.raises(ValueError, match="delay"):
             measured_response(log, delay=delay)
-
-
-def test_a_gain_of_one_at_rest_makes_low_frequencies_certain():
-    """From w of a loop whose observer integrates: P(0) = I, not of one that is not known to."""
-    groups = Record.of(moved(lag(0.98), 300, noise=0.1)).groups
-    known, free = (regression(groups, False, gain=gain) for gain in ([1.0], None))
-    variances = [np.trace(fit.covariance(np.array([1e-4])).of_P[0]) for fit in (known, free)]
-    assert variances[0] < 0.04 * variances[1]
-    assert abs(known.response(np.zeros(1)).item() - 1) < 1e-2

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from records import group_of, held
+from records import group_of, held, steps
 from scipy.signal import lfilter
 
 from ilctools.measurement.arx.delay import with_delays
@@ -10,12 +10,6 @@ from ilctools.measurement.arx.delay import with_delays
 
 def noise(rng, N):
     return held(rng, 3, N)
-
-
-def steps(rng, N):
-    """A rest, up, down and back."""
-    ends = np.cumsum(rng.uniform([0.03, 0.3, 0.25], [0.1, 0.4, 0.35]))
-    return np.select([np.arange(N) < end * N for end in ends], [0, 1, -0.5], 0.4)
 
 
 def late_lag(seed, excite, N=600):

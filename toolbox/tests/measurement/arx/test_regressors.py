@@ -5,7 +5,7 @@ import pytest
 from records import dense, trials_of
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx.regressors import data_of, products, regressors
+from ilctools.measurement.arx.regressors import products, regressors
 from ilctools.measurement.arx.trials import series_of
 from ilctools.measurement.arx.unknowns import Kind, coefficients, layout_of
 
@@ -60,17 +60,3 @@ def test_products_are_those_of_all_rows_at_once():
 def _without_line(z):
     line = np.vander(np.arange(len(z)), 2)
     return z - line @ np.linalg.lstsq(line, z)[0]
-
-
-def test_a_known_P_at_rest_is_a_row_that_hardly_errs():
-    """The products grow by the square of what unknowns miss it by."""
-    groups, delays, gain = [trials_of(1)], np.zeros(2, int), np.array([3.0, -2.0])
-    free, known = (data_of(groups, True, delays, gain=given) for given in (None, gain))
-    layout, added = known.layout, known.single - free.single
-    x = np.random.default_rng(0).standard_normal(layout.size)
-    rest = np.zeros(1)
-    A = 1 + (layout.waves_of_A(rest) @ x[layout.where(Kind.A)]).real
-    B = [(layout.waves_of_B(j, rest) @ x[layout.where_B(j)]).real for j in range(2)]
-    missed = np.sum((np.array(B)[:, 0] - gain * A) ** 2)
-    both = np.append(-x, 1.0)
-    assert both @ added @ both == pytest.approx(1e6 * missed, rel=1e-6)
