@@ -1,5 +1,7 @@
 """Score tests of one linear plant: by hand, on two levels, on loops, and of many trials."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from problems import memory
@@ -122,6 +124,13 @@ def test_a_contradiction_is_by_how_much_of_P_whatever_the_disturbance_does():
     # 1.5 and 1 differ by 0.5 of 1.125, the mean; a quarter of the power goes into the mean itself
     assert found["trial 2"] == pytest.approx(0.75**0.5 * 0.5 / 1.125, abs=0.05)
     assert not said(disturbed([1.0] * 4))
+
+
+def test_a_trial_of_another_length_is_found_by_its_name():
+    (first,), (second,) = disturbed([1.0, 1.0]), disturbed([1.0, 1.5, 1.0], N=150)
+    groups = [first, replace(second, names=("a", "b", "c"))]
+    found = dict(contradictions(regression(groups, False), groups))
+    assert max(found, key=found.get) == "b"
 
 
 def test_a_disturbance_that_acts_at_once_is_no_sign_of_a_loop():
