@@ -12,6 +12,7 @@ from functools import partial, reduce
 import numpy as np
 import pandas as pd
 from numpy.polynomial.polynomial import polyadd
+from records import backlash, dead, held, in_a_loop, steps
 from runner import publish, run, table
 from scipy.signal import freqz, lfilter
 
@@ -74,12 +75,6 @@ def slow(rng):
     return np.array([0, a.sum()]), a
 
 
-def steps(rng, N):
-    """A step test: a rest, one up, one down, one back, none of them of the same length."""
-    ends = np.cumsum(rng.uniform([0.03, 0.3, 0.25], [0.1, 0.4, 0.35]))
-    return np.select([np.arange(N) < end * N for end in ends], [0, 1, -0.5], 0.4)
-
-
 def fast_and_slow(rng):
     """A lag of 10 samples, and beside it one of 200 to 400 with a tenth to a fifth of the gain."""
     share = rng.uniform(0.1, 0.2)
@@ -87,26 +82,12 @@ def fast_and_slow(rng):
 
 
 def held_noise(rng, N, samples=3):
-    """Noise that is held for some samples."""
-    return np.repeat(rng.standard_normal(N // samples + 1), samples)[:N]
+    return held(rng, samples, N)
 
 
 def arch(N):
     """Up, down again, and a rest."""
     return np.sin(np.pi * np.minimum(np.arange(N) / (0.8 * N), 1)) ** 2
-
-
-def backlash(u, gap):
-    """What is behind a gap, which begins in its middle (the play operator)."""
-    behind, x = np.zeros(len(u)), 0.0
-    for t, ahead in enumerate(u):
-        behind[t] = x = min(max(x, ahead - gap / 2), ahead + gap / 2)
-    return behind
-
-
-def dead(u, zone):
-    """Nothing as long as |u| is less than half the zone, from there on as much less."""
-    return u - np.clip(u, -zone / 2, zone / 2)
 
 
 def answer(plant, u, rng, start=0.0):
@@ -218,16 +199,13 @@ def flexible(rng, N=1500, damped=0.03, noise=NOISE):
 
 
 def feedback(rng, N=600, moves=1.0, logged=True):
-    """The plant in a loop of a PI controller c / d, with coloured noise; of the commands."""
-    (b, a), r, noise = lag(rng), moves * held_noise(rng, N), coloured(rng, N, 0.05)
-    c, d = np.array([0.32, -0.3]), np.array([1.0, -1.0])
-    characteristic = polyadd(np.convolve(a, d), np.convolve(b, c))
-    u = lfilter(np.convolve(c, a), characteristic, r - noise)
-    y = lfilter(b, a, u) + noise
+    """The plant in a loop of a PI controller, with coloured noise; of the commands."""
+    plant, r, noise = lag(rng), moves * held_noise(rng, N), coloured(rng, N, 0.05)
+    u, y = in_a_loop(plant, ([0.32, -0.3], [1.0, -1.0]), r, noise)
     log = single(u, y)
     if logged:
         log["reference"] = log.y.copy(data=r[None, :, None])
-    return log, [[(b, a)]], "u"
+    return log, [[plant]], "u"
 
 
 def regulated(rng, N=600):

@@ -1,10 +1,83 @@
-"""The regression of records, written out: every row of the regressors at once."""
+"""Records of plants, and their regression written out: every row of the regressors at once."""
 
+import control
 import numpy as np
+import xarray as xr
+from numpy.polynomial.polynomial import polyadd
 from scipy.signal import detrend, lfilter
 
 from ilctools.measurement.arx.regressors import regressors
 from ilctools.measurement.arx.trials import Trials, series_of
+from ilctools.models import frequency_response
+from ilctools.singular_values import largest_singular_values
+
+
+def held(rng, samples, *shape):
+    """Noise that is held for some samples, (..., time)."""
+    *others, N = shape
+    return np.repeat(rng.standard_normal((*others, N // samples + 1)), samples, axis=-1)[..., :N]
+
+
+def steps(rng, N):
+    """A step test: a rest, one up, one down, one back, none of them of the same length."""
+    ends = np.cumsum(rng.uniform([0.03, 0.3, 0.25], [0.1, 0.4, 0.35]))
+    return np.select([np.arange(N) < end * N for end in ends], [0, 1, -0.5], 0.4)
+
+
+def backlash(u, gap):
+    """What is behind a gap, which begins in its middle (the play operator)."""
+    behind, x = np.zeros(len(u)), 0.0
+    for t, ahead in enumerate(u):
+        behind[t] = x = min(max(x, ahead - gap / 2), ahead + gap / 2)
+    return behind
+
+
+def in_a_loop(plant, controller, r, noise):
+    """u and y of u = c / d (r - y), y = b / a u + noise, polynomials of 1 / z."""
+    (b, a), (c, d) = plant, controller
+    characteristic = polyadd(np.convolve(a, d), np.convolve(b, c))
+    u = lfilter(np.convolve(c, a), characteristic, r - noise)
+    return u, lfilter(b, a, u) + noise
+
+
+def dead(u, zone):
+    """Nothing as long as |u| is less than half the zone, from there on as much less."""
+    return u - np.clip(u, -zone / 2, zone / 2)
+
+
+def log_of(u, y, Ts=1.0, d=()):
+    """One trial from commands (input, time) and known disturbances to outputs (output, time)."""
+    variables, coordinates = {}, {"trial": [1], "time": Ts * np.arange(y.shape[1])}
+    roles = ("control", "input", "u", u), ("output", "channel", "y", y)
+    for role, dimension, name, rows in (*roles, ("source", "source", "disturbance", d)):
+        if len(rows):
+            variables[name] = ("trial", "time", dimension), np.transpose(rows)[None]
+            coordinates[role] = dimension, [f"{name[0]}{i}" for i in range(len(rows))]
+            coordinates[f"{role}_unit"] = dimension, [""] * len(rows)
+    return xr.Dataset(variables, coordinates, {"Ts": Ts})
+
+
+def answer(plant, u):
+    """Outputs of a model to inputs from rest, (channel, time)."""
+    return control.forced_response(plant, inputs=u, squeeze=False).outputs
+
+
+def moved(plant, N, seed=0, noise=0.02, samples=3):
+    """A log of a model under noise that is held, from rest."""
+    rng = np.random.default_rng(seed)
+    u = held(rng, samples, plant.ninputs, N)
+    y = answer(plant, u)
+    y = y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return log_of(u, y, plant.dt)
+
+
+def error(estimate, plant):
+    return largest_singular_values(estimate.response - frequency_response(plant, estimate.omega))
+
+
+def covers(estimate, plant):
+    """Whether the joint region of 99 % has the truth in it."""
+    return np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True) + 1e-9)
 
 
 def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
@@ -16,11 +89,17 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
     return Trials(u=u, y=y[..., None], names=tuple(f"trial {k}" for k in range(trials)))
 
 
+def group_of(y, *u, known=0):
+    """Trials from inputs to one output, (trial, time) each, all relative to the first sample."""
+    y, *u = (x - x[:, :1] for x in (y, *u))
+    return Trials(np.stack(u, 2), y[..., None], tuple(f"trial {k}" for k in range(len(y))), known)
+
+
 def dense(groups, layout):
     """[X, y], without offset and slope, and which rows are of means."""
     rows, means = [], []
     for series in series_of(groups):
-        columns = np.vstack([regressors(series, layout).rows(slice(None)), series.y]).T
+        columns = np.vstack([regressors(series, layout), series.y]).T
         rows.append(detrend(columns[layout.skipped :], axis=0))
         means += [series.is_mean] * len(rows[-1])
     return np.concatenate(rows), np.array(means)

@@ -34,22 +34,17 @@ cannot be known then: by all of it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, helmert
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
 from ilctools.measurement.arx.regression import Regression
 from ilctools.measurement.arx.regressors import products
-from ilctools.measurement.arx.trials import (
-    Series,
-    Trials,
-    contrasts,
-    longest_of,
-    weights_of_contrasts,
-)
+from ilctools.measurement.arx.trials import Series, Trials, contrasts, longest_of
 from ilctools.measurement.arx.unknowns import Kind
 
 FALSE_ALARM = 1e-3  # probability for each output
@@ -67,11 +62,13 @@ FOLLOWS = (
 
 
 class Hypothesis(NamedTuple):
-    """What no linear plant does: columns of Z, behind those of one gain more of each input."""
+    """What no linear plant does: columns of Z."""
 
     words: str
-    columns: list[int]
-    relative_to: list[int]  # the columns whose power stands for P
+    columns: int
+    # Of a part the first column is its own output, whose power stands for P; of others, the power
+    # of the gains of all commanded inputs does.
+    of_part: bool
 
 
 class Contradiction(NamedTuple):
@@ -106,14 +103,16 @@ def contradictions(
 
     `reference`: whether the reference is in the record, or else u may follow y.
     """
-    asked, n = hypotheses(fit, groups), fit.data.n
+    asked, n = hypotheses(groups), fit.data.n
     level = FALSE_ALARM / len(asked)
     if fit.stable:
-        found, gains = score(fit, groups, columns_of(fit, groups)), [*range(fit.channels.all)]
+        found, gains = score(fit, groups, columns_of(fit, groups)), [*range(groups[0].u.shape[2])]
         of_gains = found.explained(gains)
-        for words, columns, relative_to in asked:
-            k, more = len(columns), max(found.explained(gains + columns) - of_gains, 0)
-            by = np.sqrt(more / found.power_of(relative_to))
+        first = len(gains)  # of the columns of a hypothesis
+        for words, k, of_part in asked:
+            columns, first = [*range(first, first + k)], first + k
+            more = max(found.explained(gains + columns) - of_gains, 0)
+            by = np.sqrt(more / found.power_of(columns[:1] if of_part else gains[: fit.commanded]))
             F = n * more / k / fit.posterior.r  # (2)
             if by > SEEN and fdtrc(k, n, F) < level:
                 yield Contradiction(words, by)
@@ -121,20 +120,13 @@ def contradictions(
         yield Contradiction(FOLLOWS, 1.0)
 
 
-def hypotheses(fit: Regression, groups: Sequence[Trials]) -> list[Hypothesis]:
+def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
     """All that are tested, in the order of their columns in `columns_of`."""
-    m, first, asked = fit.channels.commanded, fit.channels.all, []
-    parts = [name for group in groups for name in _parts(group)]
-    for words, k in [*((name, 2) for name in parts), (PLAY, m), (CURVED, 2 * m + 2)]:
-        columns, first = [*range(first, first + k)], first + k
-        # of a part its own output stands for P, as the gains stand for that in all of them
-        asked.append(Hypothesis(words, columns, columns[:1] if words in parts else [*range(m)]))
-    return asked
-
-
-def _parts(group):
-    """Names of the trials, or of the course of a single one."""
-    return group.names if len(group.y) > 1 else [f"the course of {group.names[0]}"]
+    m, asked = groups[0].commanded, []
+    for group in groups:
+        alone = len(group.y) == 1
+        asked += [Hypothesis(f"the course of {k}" if alone else k, 2, True) for k in group.names]
+    return [*asked, Hypothesis(PLAY, m, False), Hypothesis(CURVED, 2 * m + 2, False)]
 
 
 def score(
@@ -143,8 +135,8 @@ def score(
     """(1), of one gain more of each input, and of the columns (column, time) of each series."""
     at, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
     G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
-    gains = np.zeros((p, fit.channels.all))
-    for j in range(fit.channels.all):
+    gains = np.zeros((p, len(layout.delays)))
+    for j in range(len(layout.delays)):
         where = layout.where_B(j)
         gains[where, j] = mean[where]
     Z = block_diag(gains, np.eye(len(G) - p)[:, 1:])
@@ -157,52 +149,46 @@ def score(
     )
 
 
-class _OfGroup(NamedTuple):
-    """The columns of the trials of a group."""
-
-    own: np.ndarray  # of each trial alone, (trial, time, 2)
-    shared: np.ndarray  # of all hypotheses on all trials, (contrast, time, column)
-    weights: np.ndarray  # (contrast, trial)
-    trials: slice  # of the group, among those of all groups
-
-
 def columns_of(fit: Regression, groups: Sequence[Trials]) -> Callable[[Series], np.ndarray]:
     """Z of a series, transposed, (column, time): of each part, and of the other hypotheses.
 
     What belongs to a series is found by its key. A column of one trial only is made when it is
     asked for: of 90 trials there are 180 in each series.
     """
-    g, made, first = fit.impulse(longest_of(groups)).T, [], 0
-    for group in groups:
-        trials = slice(first, first + len(group.y))
-        made.append(_of_group(fit, g, group, trials))
-        first = trials.stop
+    g = fit.impulse(longest_of(groups)).T
+    made = [_of_group(fit, g, group) for group in groups]
+    ends = np.cumsum([len(group.y) for group in groups])
 
     def of(series):
-        own, shared, weights, trials = made[series.key.group]
-        of_trials = np.zeros((len(series.y), first, 2))
-        weight = weights[series.key.contrast][:, None, None]
-        of_trials[:, trials] = np.moveaxis(weight * own, 0, 1)
-        of_trials = of_trials.reshape(len(series.y), -1)
-        return np.hstack([of_trials, shared[series.key.contrast]]).T
+        of_group, end, N = made[series.key.group], ends[series.key.group], len(series.y)
+        weights = helmert(series.trials, full=True)[series.key.contrast]
+        of_trials = np.zeros((ends[-1], 2, N))
+        of_trials[end - series.trials : end] = weights[:, None, None] * of_group.own
+        return np.vstack([of_trials.reshape(-1, N), of_group.shared[series.key.contrast].T])
 
     return of
 
 
-def _of_group(fit, g, group, trials):
+class _OfGroup(NamedTuple):
+    """The columns of the trials of a group."""
+
+    own: np.ndarray  # of each trial alone, (trial, 2, time)
+    shared: np.ndarray  # of all hypotheses on all trials, (contrast, time, column)
+
+
+def _of_group(fit, g, group):
     """`g`: impulse responses to all inputs, (time, m + d)."""
-    K, N, m = group.u.shape
-    of_P, of_disturbances = g[:, :m], g[:, m:]
-    answer = _through(of_P, group.u).sum(axis=2, keepdims=True)
-    y = answer
-    if group.disturbance is not None:
-        y = answer + _through(of_disturbances, group.disturbance).sum(axis=2, keepdims=True)
+    K, N, _ = group.u.shape
+    of_P, u = g[:, : group.commanded], group.u[..., : group.commanded]
+    answer = _through(of_P, u).sum(axis=2, keepdims=True)
+    y = _through(g, group.u).sum(axis=2, keepdims=True)
     own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
     own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
-    columns = own, _through(of_P, _last_move(group.u)), _curve(of_P, group.u, y)
+    # a curve or dead zone before the plant, or behind it
+    powers = np.concatenate([_through(of_P, u**2), _through(of_P, u**3), y**2, y**3], axis=2)
+    columns = own, _through(of_P, _last_move(u)), powers
     own, *shared = (_through(fit.denominator[:, None], z - z[:, :1]) for z in columns)  # A Z
-    shared = contrasts(np.concatenate(shared, axis=2))
-    return _OfGroup(own, shared, weights_of_contrasts(K), trials)
+    return _OfGroup(own.swapaxes(1, 2), contrasts(np.concatenate(shared, axis=2)))
 
 
 def _through(g, z):
@@ -210,32 +196,25 @@ def _through(g, z):
     return fftconvolve(z, g[None], axes=1)[:, : z.shape[1]]
 
 
-def _curve(g, u, y):
-    """A curve or dead zone before the plant, or behind it: squares and cubes."""
-    return np.concatenate([_through(g, u**2), _through(g, u**3), y**2, y**3], axis=2)
-
-
 def _last_move(u):
     """Backlash: the sign of the last move, less that at the beginning, opposite to the first."""
-    moves = np.sign(np.diff(u, axis=1, prepend=0))
-    first = np.argmax(moves != 0, axis=1)[:, None]
-    moves[:, :1] = -np.take_along_axis(moves, first, 1)
-    last = np.maximum.accumulate(np.where(moves, np.arange(u.shape[1])[:, None], 0), axis=1)
-    return np.take_along_axis(moves, last, 1) - moves[:, :1]
+    signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
+    signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
+    for before, now in pairwise(signs):
+        now += (now == 0) * before
+    return np.moveaxis(signs - signs[0], 0, 1)
 
 
 def _at_once(fit, level):
     """Whether y answers a commanded input at once, as by -1 / C: relative to the sum of g."""
     layout, n = fit.data.layout, fit.data.n
-    g = fit.impulse(2 * layout.lags)[: fit.channels.commanded]  # slow parts answer later
-    explained = np.array([_explained_at_once(fit, j, at_once) for j, at_once in enumerate(g[:, 0])])
-    share = g[:, 0] / g.sum(axis=1)
-    odd = (share < 0) | (share > WHOLE) | (share > HALF) & (explained > ALMOST_ALL)
-    return np.any(odd & (fdtrc(1, n, n * explained) < level))
-
-
-def _explained_at_once(fit, j, at_once):
-    """How much of y(t) u_j(t) explains, relative to r: its coefficient squared, by its variance."""
-    lags = np.zeros((len(fit.mean), 1))
-    lags[fit.data.layout.where(Kind.B, j)] = 1.0  # the coefficient is the sum of the increments
-    return at_once**2 / np.sum(fit.posterior.whitened(lags) ** 2) / fit.posterior.r
+    for j, g in enumerate(fit.impulse(2 * layout.lags)[: fit.commanded]):  # slow parts answer later
+        lags = np.zeros((layout.size, 1))
+        lags[layout.where(Kind.B, j)] = 1.0  # g at once is the sum of the increments
+        # how much of y(t) u_j(t) explains, relative to r: g squared, by its variance
+        explained = g[0] ** 2 / np.sum(fit.posterior.whitened(lags) ** 2) / fit.posterior.r
+        share = g[0] / g.sum()
+        most = HALF if explained > ALMOST_ALL else WHOLE
+        if (share < 0 or share > most) and fdtrc(1, n, n * explained) < level:
+            return True
+    return False

@@ -52,7 +52,7 @@ FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes 
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 HANKEL_ROWS = 300  # samples; states of a model at most
 ROUNDING_OF_HANKEL = 1e-12  # of the largest singular value, below which it is rounding
-FREQUENCIES = 200  # at which P is stated
+STATED_FREQUENCIES = 200  # at which P is stated
 WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
 UNSTABLE = 0.77  # smaller, it is said of fewer plants that do not settle; larger, of more that do
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
@@ -96,7 +96,7 @@ class EstimatedResponse(Measured):
     @property
     def names(self) -> tuple[list[str], list[str]]:
         """Of inputs and outputs."""
-        return self.record.inputs, self.record.outputs
+        return self.record.inputs, self.loop.outputs
 
     @cached_property
     def response(self) -> np.ndarray:
@@ -122,7 +122,7 @@ class EstimatedResponse(Measured):
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
         shares = UNSTABLE * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
-        for name, fit, share in zip(self.record.outputs, self.fits, shares, strict=True):
+        for name, fit, share in zip(self.loop.outputs, self.fits, shares, strict=True):
             if not fit.stable and (share < 1 or not self.known.any()):
                 raise LogError(f"{name} does not settle: {LOOP}")
             if not fit.stable or share >= 1:
@@ -152,13 +152,7 @@ class EstimatedResponse(Measured):
 
     def _radius_of(self, moments, P, confidence, jointly):
         c, p = (JOINT, (1 - confidence) / INDEPENDENT) if jointly else (FACTOR, 1 - confidence)
-        trace, root, shares = moments
-        shape = trace**2 / (2 * root**2)
-        x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
-        sigma2 = np.maximum(shares.sum(axis=1).max(axis=0), 1e-8)  # below which t is x
-        w = wrightomega(1 / sigma2 - x - np.log(sigma2))  # 1 / (1 + t sigma2) = w sigma2, (2)
-        t = (1 - w * sigma2) / (w * sigma2**2)
-        return c * np.sqrt(t * trace / shape) + self.apart * largest_singular_values(P)
+        return c * quantile(*moments, p) + self.apart * largest_singular_values(P)
 
     def _anywhere(self, omega, confidence):
         P = self._at(omega)
@@ -173,14 +167,10 @@ class EstimatedResponse(Measured):
         Balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
         (1978) 705-714); a delay is states, too. A LogError if no order is enough.
         """
-        radius, rows = (
-            self.radius(CONFIDENCE, jointly=True),
-            min(HANKEL_ROWS, self.record.longest - 1),
-        )
-        of_all = [fit.impulse(2 * rows + 1) for fit in self.fits]  # known disturbances, too
-        impulse = self.units[..., None] * [g[: len(self.names[0])] for g in of_all]
-        full, S = control.eigensys_realization(impulse, rows, rows, rows)
-        inputs, outputs = self.names
+        radius, (inputs, outputs) = self.radius(CONFIDENCE, jointly=True), self.names
+        rows = min(HANKEL_ROWS, self.record.longest - 1)
+        impulses = [fit.impulse(2 * rows + 1)[: len(inputs)] for fit in self.fits]
+        full, S = control.eigensys_realization(self.units[..., None] * impulses, rows, rows, rows)
 
         def of_order(n):
             parts = full.A[:n, :n], full.B[:n], full.C[:, :n], full.D
@@ -227,7 +217,8 @@ class EstimatedResponse(Measured):
             f"{confidence:g}",
             Assumed(
                 "the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-                f"{self.fits[0].lags} lags, those of B after a delay and beside two slow parts"
+                f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside two "
+                "slow parts"
             ),
         ]
         if not self.known.all():
@@ -251,13 +242,6 @@ class EstimatedResponse(Measured):
         return f"{super().__repr__()}\n{within}"
 
 
-class _Contradicted(NamedTuple):
-    """What contradicts one linear plant, of one output."""
-
-    words: tuple[str, ...]  # a sentence, or none
-    by: float  # of P
-
-
 @on_one_thread
 def estimated_response(
     logs: Sequence[xr.Dataset], of: str | None = None, delay=None
@@ -266,24 +250,42 @@ def estimated_response(
     record = Record.of(logs, of, delay)
     units = record.sizes.outputs[:, None] / record.sizes.inputs
     noted = record.source == "w" or all("reference" in log for log in logs)
-    fits, contradicted = [], []
-    for i, (name, gain) in enumerate(zip(record.outputs, _at_rest(record, units), strict=True)):
+    fits, contradictory, apart = [], [], 0.0
+    for i, (name, gain) in enumerate(
+        zip(record.loop.outputs, _at_rest(record, units), strict=True)
+    ):
         groups = [replace(group, y=group.y[..., [i]]) for group in record.groups]
         fits.append(regression(groups, record.direct, record.delay, gain))
-        contradicted.append(_contradicted(name, fits[i], groups, noted))
+        if said := sorted(contradictions(fits[i], groups, noted), key=lambda one: -one.by):
+            contradictory.append(_in_words(name, said))
+            apart = max(apart, said[0].by)
     nyquist = np.pi / record.loop.Ts
-    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, FREQUENCIES)
-    apart = max(one.by for one in contradicted)
+    omega = np.geomspace(nyquist / (2 * record.longest), nyquist, STATED_FREQUENCIES)
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
-    contradictory = tuple(words for one in contradicted for words in one.words)
     findings = (*estimate._unsettled(), *contradictory)
     if not estimate.known.any():
+        known = f", or as {', '.join(record.disturbances)} did" if record.disturbances else ""
         raise LogError(
             "; ".join(contradictory)
             or f"P is identified at no frequency: the response to {', '.join(record.inputs)} is "
-            "below the noise, or they moved alike. Record longer, or move them more, each by itself"
+            f"below the noise, or they moved alike{known}. Record longer, or move them more, each "
+            "by itself"
         )
     return replace(estimate, findings=findings)
+
+
+def quantile(trace, root, shares, p: float) -> np.ndarray:
+    """What ||dP|| / |1 + a| exceeds with the probability p by (2), (n,).
+
+    `trace` of S and the `root` of tr S^2, (n,); `shares`: variances of both parts of dA / A of each
+    output, (output, 2, n).
+    """
+    shape = trace**2 / (2 * root**2)
+    x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
+    sigma2 = np.maximum(shares.sum(axis=1).max(axis=0), 1e-8)  # below which t is x
+    w = wrightomega(1 / sigma2 - x - np.log(sigma2))  # 1 / (1 + t sigma2) = w sigma2, (2)
+    t = (1 - w * sigma2) / (w * sigma2**2)
+    return np.sqrt(t * trace / shape)
 
 
 def _at_rest(record, units):
@@ -293,14 +295,10 @@ def _at_rest(record, units):
     return [None] * len(units)
 
 
-def _contradicted(name, fit, groups, noted):
-    """`noted`: whether the reference is in the record."""
-    said = sorted(contradictions(fit, groups, noted), key=lambda one: -one.by)
-    if not said:
-        return _Contradicted((), 0.0)
+def _in_words(name, said):
+    """Contradictions of one output, the largest first, as a finding."""
     words = "; ".join(f"{one.words} (by {one.by:.0%} of P)" for one in said[:WORDS_AT_MOST])
-    sentence = (
+    return (
         f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
         "leave such trials or times out, by isel, or move the input less"
     )
-    return _Contradicted((sentence,), said[0].by)

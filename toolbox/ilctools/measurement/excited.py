@@ -68,7 +68,8 @@ class ExcitedResponse(Measured):
         """Standard deviation of P by noise alone, shape (n,), in the Frobenius norm."""
         R, N = self.periods.shape[:2]
         off = self.periods - self.realisations[:, None]
-        return np.sqrt(self._smoothed(off, self._variances[0], R * (N - 1))[0])
+        variance = self._variance(off, R**2 * N * (N - 1))  # (2)
+        return np.sqrt(self._smoothed(off, variance, R * (N - 1))[0])
 
     @property
     def error(self) -> np.ndarray:
@@ -80,22 +81,17 @@ class ExcitedResponse(Measured):
         """Likewise, by what is not linear, drifts, or had not settled after the first period."""
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
 
-    @cached_property
-    def _variances(self):
-        """(2) and (3) at each line, (2, n), at least those of numbers."""
-        R, N = self.periods.shape[:2]
-        noise = _squares(self.periods - self.realisations[:, None]) / (R**2 * N * (N - 1))  # (2)
-        both = _squares(self.realisations - self.response) / (R * (R - 1))  # (3)
-        return np.maximum([noise, both], 1e-24 * _squares(self.response) + 1e-300)
+    def _variance(self, off, count):
+        """That of errors at each line, (n,), at least that of numbers."""
+        return np.maximum(_squares(off) / count, 1e-24 * _squares(self.response) + 1e-300)
 
     @cached_property
     def _error(self):
         """Its square, d and f."""
-        noise, both = self.noise**2, self._variances[1]
-        size = _squares(self.response)
+        off, R, noise = self.realisations - self.response, len(self.periods), self.noise**2
+        both, size = self._variance(off, R * (R - 1)), _squares(self.response)  # (3)
         shape = noise + max(np.sum(both - noise), 0) / size.sum() * size
-        off = self.realisations - self.response
-        return self._smoothed(off, both, len(off) - 1, shape)
+        return self._smoothed(off, both, R - 1, shape)
 
     def _smoothed(self, off, variance, freedom, shape=1.0):
         """A variance (n,) of errors (..., n, p, m) with the `freedom` of each line, d, and f (n,).
@@ -189,13 +185,13 @@ def _directions(off, near, freedom):
 def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
     """From signals of all periods that are evaluated, (experiment, time, channel)."""
     W, Y = (_spectra(signal, excitation) for signal in (w, y))
-    beyond = commands_beyond(asked, loop.commands, limits)
-    finding = (
-        f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
-        "Shake with a smaller amplitude"
-    )
-    periods = Y @ np.linalg.inv(W)  # (1)
-    return ExcitedResponse(excitation.omega, periods, loop, (finding,) if beyond else ())
+    findings = ()
+    if beyond := commands_beyond(asked, loop.commands, limits):
+        findings = (
+            f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
+            "Shake with a smaller amplitude",
+        )
+    return ExcitedResponse(excitation.omega, Y @ np.linalg.inv(W), loop, findings)  # (1)
 
 
 def _spectra(signal, excitation):

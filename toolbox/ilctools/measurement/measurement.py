@@ -20,7 +20,8 @@ from ilctools.measurement.record import check_moved
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 from ilctools.warn import warn
 
-ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
+# How far w may be from the excitation, relative to its amplitude: logs hold few digits.
+ROUNDING_OF_W = 0.02
 
 
 def measured_response(
@@ -59,9 +60,9 @@ def measured_response(
     LogError
         If a record of :func:`shake` lacks an experiment, or w is not the excitation; if an input or
         an output never moved, or moves by less than 1e-30 or more than 1e30 in its unit; of other
-        records, if a trial has fewer than 20 samples, an output does not settle, P is identified
-        nowhere, or a known disturbance moves exactly as inputs do. A record without noise is
-        accepted: rounding counts as its noise.
+        records, if a trial has fewer than 20 samples, an output does not settle, or P is identified
+        nowhere: also where a known disturbance moves exactly as inputs do. A record without noise
+        is accepted: rounding counts as its noise.
 
     Warns
     -----
@@ -180,7 +181,7 @@ def _signals(log, excitation):
     w = log.v if "input" in log.coords else log.reference + log.v
     w = arguments.array("log.v", w.values, shaken.shape)
     off = (np.abs(w - shaken) / excitation.amplitude).max()
-    if off > ROUNDED:
+    if off > ROUNDING_OF_W:
         raise LogError(f"w is not the excitation: it is off by {off:.2g} of its amplitude")
     y = arguments.array("log.y", log.y.values, (*shaken.shape[:2], "output"))
     check_moved([y], log.output.values, "log.y", "is it connected?")

@@ -21,12 +21,8 @@ from ilctools.measurement.arx.trials import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
 FEWEST_SAMPLES = 20  # of a trial
-AXES = "trial", "time", ...
 # A disturbance that moves less, relative to its size, is constant but for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
-# A disturbance that differs from moves of inputs by less, relative to its own, is one of them: a
-# log has three or four digits of each.
-ALIKE = 1e-3
 # In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
 # most 1e240: a double still holds it. No quantity that a rig has is of such a size in SI units.
 LARGEST_MOVES, SMALLEST_MOVES = 1e30, 1e-30
@@ -38,11 +34,6 @@ class Sizes(NamedTuple):
     inputs: np.ndarray  # (m,)
     outputs: np.ndarray  # (p,)
 
-    @classmethod
-    def of(cls, moves: Sequence["_Moves"]) -> "Sizes":
-        """Over all logs."""
-        return cls(_sizes([one.u for one in moves]), _sizes([one.y for one in moves]))
-
 
 @dataclass(frozen=True)
 class Record:
@@ -50,7 +41,6 @@ class Record:
 
     groups: tuple[Trials, ...]  # of each length
     inputs: list[str]
-    outputs: list[str]
     sizes: Sizes
     delay: np.ndarray  # after which y answers at the earliest, (input,), samples
     direct: bool  # whether y(t) may depend on the inputs at t, or when the delay is over
@@ -64,20 +54,23 @@ class Record:
     ) -> "Record":
         """Of a log or several; `source` and `delay` as for :func:`ilctools.measured_response`."""
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
+        logs = [log.transpose("trial", "time", ...) for log in logs]
         named = {f"log[{i}]" if len(logs) > 1 else "log": log for i, log in enumerate(logs)}
         check_match(**{name: Signals.of_log(log) for name, log in named.items()})
         source = _source_of(logs, source)
         loop = _loop_of(logs[0], source)
         inputs = loop.learned if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
-        _check_inputs_and_outputs(moves, inputs, loop.outputs, next(iter(named)), source)
+        u, y, first = [one.u for one in moves], [one.y for one in moves], next(iter(named))
+        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+        check_moved(u, inputs, f"{first}.{source}", remedy)
+        check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
-        disturbances, known = _known_disturbances(moves, inputs)
-        sizes = Sizes.of(moves)
+        disturbances, known = _known_disturbances(moves)
+        sizes = Sizes(_sizes(u), _sizes(y))
         return cls(
             groups=_groups(moves, known, sizes),
             inputs=inputs,
-            outputs=loop.outputs,
             sizes=sizes,
             delay=delay,
             direct=source == "w" or "reference" not in logs[0] or delay.min() > 0,
@@ -109,40 +102,22 @@ class _Moves(NamedTuple):
     disturbance: dict[str, np.ndarray]  # (trial, time) each, by name
     titles: tuple[str, ...]  # of the trials, in messages
 
-    def moves(self, name: str) -> bool:
-        """Whether a disturbance moves within a trial."""
-        return bool(self.disturbance[name].any())
-
-
-def _check_inputs_and_outputs(moves, inputs, outputs, first, source):
-    """Refuse inputs and outputs that stand still in all logs; `first`: the name of the first."""
-    remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
-    check_moved([one.u for one in moves], inputs, f"{first}.{source}", remedy)
-    check_moved([one.y for one in moves], outputs, f"{first}.y", "is it connected?")
-
 
 def _groups(moves, known, sizes):
     """Trials by their length: in all of one length the same disturbance may repeat."""
     alike = {}
-    for one, disturbance in zip(moves, known, strict=True):
-        trials = Trials(
-            u=one.u / sizes.inputs,
-            y=one.y / sizes.outputs,
-            names=one.titles,
-            disturbance=disturbance,
-        )
+    for one, disturbances in zip(moves, known, strict=True):
+        u = np.concatenate([one.u / sizes.inputs, disturbances], axis=2)
+        trials = Trials(u, one.y / sizes.outputs, one.titles, disturbances.shape[2])
         alike.setdefault(one.y.shape[1], []).append(trials)
-    return tuple(_joined(trials) for trials in alike.values())
-
-
-def _joined(alike):
-    """Trials of one length as one group."""
-    known = [trials.disturbance for trials in alike]
-    return Trials(
-        u=np.concatenate([trials.u for trials in alike]),
-        y=np.concatenate([trials.y for trials in alike]),
-        names=tuple(name for trials in alike for name in trials.names),
-        disturbance=None if known[0] is None else np.concatenate(known),
+    return tuple(
+        Trials(
+            u=np.concatenate([trials.u for trials in group]),
+            y=np.concatenate([trials.y for trials in group]),
+            names=tuple(name for trials in group for name in trials.names),
+            known=group[0].known,
+        )
+        for group in alike.values()
     )
 
 
@@ -153,37 +128,20 @@ def _source_of(logs, asked):
     return arguments.choice("of", asked, ["u", "w"])
 
 
-def _known_disturbances(moves, inputs):
+def _known_disturbances(moves):
     """Names of the disturbances that move in any log, and their moves in each of them.
 
-    The moves are in units of their RMS, (trial, time, disturbance); None if nothing moves.
+    The moves are in units of their RMS, (trial, time, disturbance).
     """
-    names = dict.fromkeys(name for one in moves for name in one.disturbance if one.moves(name))
+    names = {name: 0 for one in moves for name, signal in one.disturbance.items() if signal.any()}
     if not names:
-        return (), [None] * len(moves)
-    known = []
-    for one in moves:
-        rest = np.zeros(one.y.shape[:2])
-        known.append(np.stack([one.disturbance.get(name, rest) for name in names], axis=2))
+        return (), [one.y[..., :0] for one in moves]
+    known = [
+        np.stack([one.disturbance.get(name, 0 * one.y[..., 0]) for name in names], axis=2)
+        for one in moves
+    ]
     check_moved(known, names, "disturbance", "leave it out")
-    _check_apart(inputs, [one.u for one in moves], names, known)
     return tuple(names), [x / _sizes(known) for x in known]
-
-
-def _check_apart(inputs, u, moving, known):
-    """Refuse a known disturbance that is a sum of inputs: nothing shows which of them moved y."""
-    U, D = _about_their_means(u), _about_their_means(known)
-    U = U / np.linalg.norm(U, axis=0)
-    shares = np.linalg.lstsq(U, D, rcond=None)[0]
-    left = np.linalg.norm(D - U @ shares, axis=0) / np.linalg.norm(D, axis=0)
-    for name, rest, parts in zip(moving, left, shares.T, strict=True):
-        if rest < ALIKE:
-            as_which = np.array(inputs)[np.abs(parts) > ALIKE * np.abs(parts).max()]
-            raise LogError(
-                f"disturbance {name} moves as {', '.join(as_which)}: nothing shows which of them "
-                f"moved y. Leave it out, log.sel(source=log.source != {name!r}), or record while "
-                "they move apart"
-            )
 
 
 def _loop_of(log, source):
@@ -198,8 +156,7 @@ def _moves(name, log, source):
     """Inputs, outputs and known disturbances, from before each trial on."""
     u, before, others = _inputs(name, log, source)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
-    y = log.y.transpose(*AXES).values
-    y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
+    y = arguments.array(f"{name}.y", log.y.values, (*u.shape[:2], "channel"))
     if len(y[0]) < FEWEST_SAMPLES:
         raise LogError(
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST_SAMPLES} or more"
@@ -223,14 +180,14 @@ def _inputs(name, log, source):
     if source == "u" and "u" not in log:
         raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
     if source == "u":  # commands rest at their own first row
-        u = log.get("applied", log.u).transpose(*AXES).values
+        u = log.get("applied", log.u).values
         return u, u, {}
-    limits, loop, r = limits_of(log), loop_of(log), log.reference.transpose(*AXES).values
+    limits, loop, r = limits_of(log), loop_of(log), log.reference.values
     if loop is None and "input" in log.coords:
         raise LogError(f"{name} has a v of inputs, but names no loop that says what else they take")
-    v = log.v.transpose(*AXES).values if "v" in log else 0 * r
+    v = log.v.values if "v" in log else 0 * r
     if limits and loop:  # v that asks for what was applied
-        asked = np.asarray(loop.asked(log.transpose(*AXES)))
+        asked = np.asarray(loop.asked(log))
         v = loop.realised(v, asked, Actuators.of(limits, loop).follow(asked))
     if loop is None or loop.one_for_one:
         return r + v, r, {}  # w rests at the reference's first row
@@ -249,8 +206,7 @@ def _disturbances_of(name, log, shape):
     """The known disturbances of a log, (trial, time) each, by name."""
     if "disturbance" not in log:
         return {}
-    signals = log.disturbance.transpose(*AXES).values
-    signals = arguments.array(f"{name}.disturbance", signals, (*shape, "source"))
+    signals = arguments.array(f"{name}.disturbance", log.disturbance.values, (*shape, "source"))
     names = arguments.different(f"{name}.source", log.source.values.tolist())
     return dict(zip(names, np.moveaxis(signals, 2, 0), strict=True))
 
@@ -291,11 +247,6 @@ def check_moved(signals, names, what, remedy):
 
 
 def _sizes(signals):
-    """Root mean square of the moves of signals (trial, time, channel)."""
-    return np.sqrt(np.mean(_about_their_means(signals) ** 2, axis=0))
-
-
-def _about_their_means(signals):
-    """Signals (trial, time, channel) of each record less the mean of each trial, as one table."""
+    """Root mean square of the moves of signals (trial, time, channel), about each trial's mean."""
     moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
-    return np.concatenate(moves)
+    return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))

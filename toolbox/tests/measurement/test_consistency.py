@@ -1,13 +1,15 @@
 """Score tests of one linear plant: by hand, on two levels, on loops, and of many trials."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from problems import memory
-from records import dense
+from records import backlash, dead, dense, group_of, held, in_a_loop
 from scipy.signal import detrend, lfilter
 
 from ilctools.measurement.arx.regression import regression
-from ilctools.measurement.arx.trials import Trials, series_of
+from ilctools.measurement.arx.trials import series_of
 from ilctools.measurement.consistency import (
     CURVED,
     FOLLOWS,
@@ -16,12 +18,6 @@ from ilctools.measurement.consistency import (
     contradictions,
     score,
 )
-
-
-def trials(u, y):
-    """Of one input, (trial, time) each, relative to the first sample."""
-    u, y = ((x - x[:, :1])[..., None] for x in (u, y))
-    return [Trials(u=u, y=y, names=tuple(f"trial {k}" for k in range(len(y))))]
 
 
 def said(groups, reference=True):
@@ -37,7 +33,7 @@ def lagged(u, rng, noise=0.03):
 def test_score_and_information_are_those_of_the_normal_distribution_of_y():
     rng = np.random.default_rng(0)
     u = rng.standard_normal((3, 80))
-    groups = trials(u, lagged(u, rng))
+    groups = [group_of(lagged(u, rng), u)]
     fit = regression(groups, False)
     layout, post = fit.data.layout, fit.posterior
     columns = columns_of(fit, groups)
@@ -65,45 +61,31 @@ def test_two_levels_are_not_curved(held):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.choice([-1.0, 1.0], 300 // held), held)[None]
-        assert not said(trials(u, lagged(u, rng)), False)
+        assert not said([group_of(lagged(u, rng), u)], False)
 
 
 def test_a_dead_zone_and_backlash_are_said_but_not_what_is_hardly_curved():
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        u, x = np.repeat(rng.standard_normal((1, 40)), 10, axis=1), 0.0
-        behind = np.zeros_like(u)
-        for t, ahead in enumerate(u[0]):
-            behind[0, t] = x = np.clip(x, ahead - 0.15, ahead + 0.15)
-        assert PLAY in said(trials(u, lagged(behind, rng)))
-        assert CURVED in said(trials(u, lagged(u - np.clip(u, -0.3, 0.3), rng)))
-        assert not said(trials(u, lagged(u + 0.003 * u**3, rng, 1e-4)))
-
-
-def loop(rng, moves, c, integral, N=600):
-    """Of u = C (r - y), C = c0 + c1 / z, over 1 - 1 / z if integral; v is coloured noise."""
-    u, y, r = np.zeros(N), np.zeros(N), moves * np.repeat(rng.standard_normal(N // 3), 3)
-    v = lfilter([0.05], [1, -0.9], rng.standard_normal(N))
-    e = np.zeros(N)
-    for t in range(1, N):
-        y[t] = 0.7 * (y[t - 1] - v[t - 1]) + 0.3 * u[t - 1] + v[t]
-        e[t] = r[t] - y[t]
-        u[t] = c[0] * e[t] + c[1] * e[t - 1] + integral * u[t - 1]
-    return trials(u[None], y[None])
+        u = np.repeat(rng.standard_normal((1, 40)), 10, axis=1)
+        behind = backlash(u[0], 0.3)[None]
+        assert PLAY in said([group_of(lagged(behind, rng), u)])
+        assert CURVED in said([group_of(lagged(dead(u, 0.6), rng), u)])
+        assert not said([group_of(lagged(u + 0.003 * u**3, rng, 1e-4), u)])
 
 
 @pytest.mark.parametrize(
-    "given",
-    [
-        {"moves": 0.0, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.05, "c": (0.32, -0.3), "integral": 1},
-        {"moves": 0.0, "c": (1.5, -0.5), "integral": 0},
-    ],
+    ("moves", "controller"),
+    [(0.0, ([0.32, -0.3], [1, -1])), (0.05, ([0.32, -0.3], [1, -1])), (0.0, ([1.5, -0.5], [1]))],
 )
-def test_a_loop_without_its_reference_is_said(given):
+def test_a_loop_without_its_reference_is_said(moves, controller):
     """What is estimated is -1 / C, at a radius of nothing."""
     for seed in range(2):
-        assert FOLLOWS in said(loop(np.random.default_rng(seed), **given), False)
+        rng = np.random.default_rng(seed)
+        r = moves * held(rng, 3, 600)
+        noise = lfilter([0.05], [1, -0.9], rng.standard_normal(600))
+        u, y = in_a_loop(([0, 0.3], [1, -0.7]), controller, r, noise)
+        assert FOLLOWS in said([group_of(y[None], u[None])], False)
 
 
 @pytest.mark.parametrize("direct", [0, 1])
@@ -113,14 +95,47 @@ def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noi
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.standard_normal(100), 3)[None]
         y = lfilter([0.3 * direct, 0.3 * (1 - direct)], [1, -0.7], u)
-        assert FOLLOWS not in said(trials(u, y + noise * rng.standard_normal(y.shape)), False)
+        assert FOLLOWS not in said([group_of(y + noise * rng.standard_normal(y.shape), u)], False)
 
 
 def test_memory_grows_as_the_trials_do():
     """Columns of each trial are made for one contrast at a time: no trial by trial by time."""
     rng = np.random.default_rng(0)
     u = rng.standard_normal((90, 200))
-    groups = trials(u, lagged(u, rng))
+    groups = [group_of(lagged(u, rng), u)]
     fit = regression(groups, False)
     # of 8 bytes each
     assert memory(lambda: list(contradictions(fit, groups))) < 8 * 90 * 90 * 200
+
+
+def disturbed(gains, direct=0.0, N=200):
+    """Of one input and one disturbance of ten times its effect; another gain of P in each trial."""
+    rng, K = np.random.default_rng(0), len(gains)
+    u, d = held(rng, 2, 2, K, N)
+    y = np.array(gains)[:, None] * lfilter([0, 0.1], [1, -0.9], u)
+    y = y + lfilter([direct, 1.0], [1, -0.9], d) + 0.003 * rng.standard_normal((K, N))
+    return [group_of(y, u, d, known=1)]
+
+
+def test_a_contradiction_is_by_how_much_of_P_whatever_the_disturbance_does():
+    groups = disturbed([1.0, 1.0, 1.5, 1.0])
+    found = dict(contradictions(regression(groups, False), groups))
+    assert max(found, key=found.get) == "trial 2"
+    # 1.5 and 1 differ by 0.5 of 1.125, the mean; a quarter of the power goes into the mean itself
+    assert found["trial 2"] == pytest.approx(0.75**0.5 * 0.5 / 1.125, abs=0.05)
+    assert not said(disturbed([1.0] * 4))
+
+
+def test_a_trial_of_another_length_is_found_by_its_name():
+    (first,), (second,) = disturbed([1.0, 1.0]), disturbed([1.0, 1.5, 1.0], N=150)
+    groups = [first, replace(second, names=("a", "b", "c"))]
+    found = dict(contradictions(regression(groups, False), groups))
+    assert max(found, key=found.get) == "b"
+
+
+def test_a_disturbance_that_acts_at_once_is_no_sign_of_a_loop():
+    """Nor is it left out where commands are known to act a sample later."""
+    groups = disturbed([1.0, 1.0], direct=3.0)
+    fit = regression(groups, False)
+    assert FOLLOWS not in dict(contradictions(fit, groups, False))
+    np.testing.assert_allclose(fit.impulse(1).ravel(), [0, 3.0], atol=0.02)

@@ -10,13 +10,13 @@ Before the data any delay up to the longest trial is as likely as another: one c
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from ilctools.measurement.arx.likelihood import Fit, likeliest
+from ilctools.measurement.arx.prior import FIRST_GUESSES
 from ilctools.measurement.arx.regressors import data_of
-from ilctools.measurement.arx.trials import Channels, Trials, contrasts, longest_of
+from ilctools.measurement.arx.trials import Trials, contrasts, longest_of
 
 LEAST_DELAY = 5  # samples: the least lag of largest correlation that counts as a delay
 # Delays that are tried, relative to that lag: of the signals, whose correlation is wide, and of
@@ -27,58 +27,41 @@ ROOM_OF_SIGNALS, ROOM_OF_MOVES = 0.9, 0.98
 WHITENING = 0.8
 
 
-class Search(NamedTuple):
-    """What a search for delays needs to know."""
+def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=None) -> Fit:
+    """The likeliest fit with the least delays, (m + d,), or with delays that correlations show.
 
-    groups: Sequence[Trials]
-    direct: bool  # whether y(t) may depend on the commanded inputs at t, or after their delay
-    gain: Sequence[float] | None  # P at rest, (m,), where it is known
+    `direct` and `gain`: see `data_of`. The cost of a fit is (4) with that of its delays.
+    """
+    commanded, longest = groups[0].commanded, longest_of(groups)
+    alone = [slice(j, j + 1) for j in range(commanded, len(least))]
+    searched_at_once = [slice(commanded), *alone]  # all commanded inputs; each disturbance
 
+    def fitted(delays, first=FIRST_GUESSES):
+        fit = likeliest(data_of(groups, direct, delays, gain), longest, first)
+        late = sum(delays[inputs].any() for inputs in searched_at_once)
+        return fit._replace(cost=fit.cost + late * np.log(longest))
 
-class Delayed(NamedTuple):
-    """A fit, and the delays for which it is one."""
-
-    fit: Fit
-    delays: np.ndarray  # of all inputs, samples
-    cost: float  # (4), with that of the delays
-
-
-def with_delays(search: Search, least: np.ndarray) -> Fit:
-    """The likeliest fit with the least delays, or with delays that correlations show."""
-    best = _fitted(search, least)
-    tried = [
-        (_latest(search.groups, differences), room)
-        for differences, room in ((0, ROOM_OF_SIGNALS), (1, ROOM_OF_MOVES))
-    ]
-    for together in _searched_together(search.groups):
-        before = best.delays
+    best = fitted(least)
+    tried = [(_latest(groups, 0), ROOM_OF_SIGNALS), (_latest(groups, 1), ROOM_OF_MOVES)]
+    for inputs in searched_at_once:
+        before = best.data.layout.delays
         for latest, room in tried:
             more = np.zeros_like(before)
-            more[together] = np.maximum(latest - before, 0)[together]
+            more[inputs] = np.maximum(latest - before, 0)[inputs]
             if more.max() >= LEAST_DELAY:
-                further = _fitted(search, before + (room * more).astype(int), [best.fit.eta])
-                best = min(best, further, key=lambda one: one.cost)
-    return best.fit
-
-
-def _fitted(search, delays, first=None):
-    longest = longest_of(search.groups)
-    fit = likeliest(data_of(search.groups, search.direct, delays, search.gain), longest, first)
-    late = sum(delays[inputs].any() for inputs in _searched_together(search.groups))
-    return Delayed(fit, delays, fit.cost + late * np.log(longest))
-
-
-def _searched_together(groups):
-    """Inputs whose delays are searched for at once: all commanded ones; each disturbance alone."""
-    commanded, inputs = Channels.of(groups)
-    return [slice(commanded), *(slice(j, j + 1) for j in range(commanded, inputs))]
+                further = fitted(before + (room * more).astype(int), [best.eta])
+                best = min(best, further, key=lambda fit: fit.cost)
+    return best
 
 
 def _latest(groups, differences):
-    """Lags of largest correlation of each input, or of its moves, with the output, (m + d,)."""
+    """Lags of largest correlation of each input, or of its moves, with the output, (m + d,).
+
+    `differences`: 0 of the signals, 1 of their moves.
+    """
     longest, products = longest_of(groups), 0.0
     for group in groups:
-        signals = contrasts(np.concatenate([group.inputs, group.y], axis=2))
+        signals = contrasts(np.concatenate([group.u, group.y], axis=2))
         signals = np.diff(signals - signals.mean(axis=1, keepdims=True), differences, axis=1)
         spectra = np.fft.rfft(signals, 2 * longest, axis=1)
         products = products + np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)

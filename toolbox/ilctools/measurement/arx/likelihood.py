@@ -38,10 +38,10 @@ LONGEST_NEWTON_STEP = 1.0  # of each hyperparameter
 
 def negative_log_posterior(eta: np.ndarray, data: Data) -> tuple[float, np.ndarray]:
     """(4) and its gradient over eta."""
-    at, n, n_1 = posterior(eta, data), data.n, data.products.samples_of_means
+    at, n = posterior(eta, data), data.n
     away = standardised(eta, at.r / n)
     log_U = np.log(np.diag(at.U)).sum()  # log |U|
-    value = n / 2 * np.log(at.r) + log_U + away @ away / 2 - n_1 / 2 * np.log(at.weight)  # (4)
+    value = n / 2 * np.log(at.r) + log_U + away @ away / 2 - data.n_1 / 2 * np.log(at.weight)  # (4)
     return value, _gradient(Hyperparameters(*eta), data, at, away)
 
 
@@ -58,13 +58,9 @@ def _gradient(eta, data, at, away):
     by_log_D = (1 - np.diag(inverse) - n * z**2 / at.r) / 2  # (4a)
     by_kind = np.bincount(data.layout.kind, by_log_D, len(Kind))
     of_likelihood = Hyperparameters(
-        log_c_A=by_kind[Kind.A],
-        log_c_B=by_kind[Kind.B],
-        log_c_start=by_kind[Kind.START],
-        log_c_drift=by_kind[Kind.DRIFT],
+        **{kind.hyperparameter: by_kind[kind] for kind in Kind},
         log_T=by_log_D @ prior(eta, data.layout).slope,
         rho=_by_rho(data, at, z, inverse, n),
-        log_c_slow=by_kind[Kind.SLOW],
     )
     return np.array(of_likelihood) + away / WIDTH
 
@@ -75,13 +71,12 @@ def _by_rho(data, at, z, inverse, n):
     d / d w = (n' |y_1 - X_1 x|^2 / r + tr((U' U)^-1 D^(1/2) X_1' X_1 D^(1/2)) - n_1 / w) / 2,
     d w / d rho = -w (1 - w).                                                              (4b)
     """
-    n_1, w = data.products.samples_of_means, at.weight
-    if not n_1:
+    if not data.n_1:
         return 0.0
-    G_1, residual = data.products.means, np.append(-at.root_D * z, 1.0)
+    G_1, w, residual = data.means, at.weight, np.append(-at.root_D * z, 1.0)
     whole = inverse + np.triu(inverse, 1).T
     trace = at.root_D @ (whole * G_1[:-1, :-1]) @ at.root_D
-    by_w = (n * (residual @ G_1 @ residual) / at.r + trace - n_1 / w) / 2
+    by_w = (n * (residual @ G_1 @ residual) / at.r + trace - data.n_1 / w) / 2
     return -w * (1 - w) * by_w  # (4b)
 
 
@@ -93,14 +88,14 @@ class Fit(NamedTuple):
     data: Data
 
 
-def likeliest(data: Data, longest: int, first=None) -> Fit:
-    """The minimum of (4) that is found from the first guesses, those of the prior by default."""
+def likeliest(data: Data, longest: int, first=FIRST_GUESSES) -> Fit:
+    """The minimum of (4) that is found from the first guesses."""
     searches = [
         minimize(
             negative_log_posterior, eta, (data,), jac=True, method="L-BFGS-B",
             bounds=bounds_of(longest), options=SEARCH,
         )
-        for eta in (FIRST_GUESSES if first is None else first)
+        for eta in first
     ]  # fmt: skip
     found = min(searches, key=lambda search: search.fun)
     return Fit(found.x, found.fun, data)

@@ -55,9 +55,9 @@ class Posterior(NamedTuple):
 def posterior(eta: np.ndarray, data: Data) -> Posterior:
     """(3), at one vector of hyperparameters."""
     eta = Hyperparameters(*eta)
-    weight = eta.weight if data.products.samples_of_means else 1.0
+    weight = eta.weight if data.n_1 else 1.0
     root_D = np.exp(prior(eta, data.layout).log_D / 2)
-    G = data.products.weighted(weight)  # of [X, y]
+    G = data.weighted(weight)  # of [X, y]
     XX, Xy, yy = G[:-1, :-1], G[:-1, -1], G[-1, -1]
     UU = root_D[:, None] * XX * root_D
     UU[np.diag_indices_from(UU)] = UU.diagonal() * (1 + CHOLESKY_ROUNDING) + 1

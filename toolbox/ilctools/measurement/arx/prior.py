@@ -29,22 +29,15 @@ class Hyperparameters(NamedTuple):
 
     log_c_A: float
     log_c_B: float
-    log_c_start: float
-    log_c_drift: float
+    log_c_START: float
+    log_c_DRIFT: float
     log_T: float  # T in samples
     rho: float  # a mean over trials, in which a disturbance may repeat, weighs 1 / (1 + exp(rho))
-    log_c_slow: float
+    log_c_SLOW: float
 
     def of_kinds(self) -> np.ndarray:
         """log c of each :class:`Kind`, in its order."""
-        by_kind = {
-            Kind.A: self.log_c_A,
-            Kind.B: self.log_c_B,
-            Kind.START: self.log_c_start,
-            Kind.DRIFT: self.log_c_drift,
-            Kind.SLOW: self.log_c_slow,
-        }
-        return np.array([by_kind[kind] for kind in Kind])
+        return np.array([getattr(self, kind.hyperparameter) for kind in Kind])
 
     @property
     def weight(self) -> float:
@@ -56,40 +49,32 @@ class Assumed(NamedTuple):
     """What is assumed of a hyperparameter before the data: it is normal."""
 
     centre: float
-    width: float  # the standard deviation
+    # The standard deviation. It is wide: 3 is a factor of 20 in variance either way.
+    width: float = 3.0
     # Whether it is relative to the output: then log(c s^2) has this centre, not log c, where the
     # output is in units of its RMS.
-    of_output: bool
-    first: tuple[float, float]  # guesses from which searches start: without a drift, and with one
+    of_output: float = False
 
 
-ASSUMED = {
-    # Chosen wide: a width of 3 is a factor of 20 in variance either way. The first guesses of c are
-    # for noise of 5 % of the output, log s^2 = -6.
-    "log_c_A": Assumed(centre=-4.0, width=3.0, of_output=True, first=(2.0, 2.0)),
-    "log_c_B": Assumed(centre=-4.0, width=3.0, of_output=True, first=(2.0, 2.0)),
-    "log_c_start": Assumed(centre=-4.0, width=3.0, of_output=True, first=(2.0, 2.0)),
+ASSUMED = Hyperparameters(
+    log_c_A=Assumed(-4.0, of_output=True),
+    log_c_B=Assumed(-4.0, of_output=True),
+    log_c_START=Assumed(-4.0, of_output=True),
     # A drift is no part of what the inputs move: its steps, a quarter of s, are relative to noise.
-    # With a guess of a large drift the posterior is up to e^30 higher, in trials under learning.
-    "log_c_drift": Assumed(centre=-3.0, width=3.0, of_output=False, first=(-3.0, 6.0)),
-    "log_T": Assumed(centre=2.3, width=3.0, of_output=False, first=(2.3, 2.3)),  # ten samples
-    # As much of the noise repeats as not.
-    "rho": Assumed(centre=0.0, width=3.0, of_output=False, first=(0.0, 0.0)),
+    log_c_DRIFT=Assumed(-3.0),
+    log_T=Assumed(2.3),  # ten samples
+    rho=Assumed(0.0),  # as much of the noise repeats as not
     # A twentieth of the size of the output, within a factor of 1.3. The data hardly
     # distinguish the motion of a slow part from a drift.
-    "log_c_slow": Assumed(centre=-5.8, width=0.5, of_output=True, first=(-5.8 + 6, -5.8 + 6)),
-}
-
-
-def _by_name(number):
-    """One number of each hyperparameter, as a vector."""
-    return np.array(Hyperparameters(**{name: number(row) for name, row in ASSUMED.items()}))
-
-
-CENTRE = _by_name(lambda row: row.centre)
-WIDTH = _by_name(lambda row: row.width)
-OF_OUTPUT = _by_name(lambda row: float(row.of_output))
-FIRST_GUESSES = [_by_name(lambda row, k=k: row.first[k]) for k in range(2)]
+    log_c_SLOW=Assumed(-5.8, width=0.5, of_output=True),
+)
+CENTRE, WIDTH, OF_OUTPUT = np.array(ASSUMED).T
+# Searches start from these guesses, without a drift and with one. log s^2 = -6 is noise of 5 % of
+# the output. With a guess of a large drift the posterior is up to e^30 higher, in trials under
+# learning.
+LOG_NOISE, LARGE_DRIFT = -6, 6.0
+WITHOUT_DRIFT = Hyperparameters(*(CENTRE - LOG_NOISE * OF_OUTPUT))
+FIRST_GUESSES = np.array([WITHOUT_DRIFT, WITHOUT_DRIFT._replace(log_c_DRIFT=LARGE_DRIFT)])
 # Beyond it a logarithm is as good as infinite: exp(50) is more than a double has digits.
 LARGEST_LOGARITHM = 50.0
 SHORTEST_LOG_T = -1.5  # a quarter of a sample, from which on all but the first lag are zero
@@ -99,7 +84,7 @@ LONGEST_T = 5.0  # longest trials: what is slower is a line in each trial
 def bounds_of(longest: int) -> list[tuple[float, float]]:
     """Lower and upper bounds of eta for a search; `longest`: samples of the longest trial."""
     widest = (-LARGEST_LOGARITHM, LARGEST_LOGARITHM)
-    every = Hyperparameters(*[widest] * len(Hyperparameters._fields))
+    every = Hyperparameters(*[widest] * len(CENTRE))
     return list(every._replace(log_T=(SHORTEST_LOG_T, np.log(LONGEST_T * longest))))
 
 

@@ -20,16 +20,13 @@ from ilctools.measurement.arx.regressors import Data
 HEAVY = 1.2  # tails of eta, relative to normal ones: counted
 
 
-def points_about(eta: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """(5), (point, entry of eta)."""
-    apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])  # S is symmetric
-    return np.clip(eta + apart, -LARGEST_LOGARITHM, LARGEST_LOGARITHM)
-
-
 def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
     """The covariance of x, over the points, (unknown, unknown)."""
-    mean, points, C = posterior(eta, data).mean, points_about(eta, S), 0.0
-    for there in (posterior(point, data) for point in points):
+    apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])  # (5); S is symmetric
+    points = np.clip(eta + apart, -LARGEST_LOGARITHM, LARGEST_LOGARITHM)
+    mean, C = posterior(eta, data).mean, 0.0
+    for point in points:
+        there = posterior(point, data)
         own = there.r / data.n * there.inverse() * np.outer(there.root_D, there.root_D)
         moved = there.mean - mean
         C = C + (own + np.outer(moved, moved)) / len(points)

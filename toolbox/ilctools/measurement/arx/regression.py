@@ -30,12 +30,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx.delay import Search, with_delays
+from ilctools.measurement.arx.delay import with_delays
 from ilctools.measurement.arx.likelihood import polished
 from ilctools.measurement.arx.posterior import Posterior, posterior
 from ilctools.measurement.arx.quadrature import covariance
 from ilctools.measurement.arx.regressors import Data
-from ilctools.measurement.arx.trials import Channels, Trials
+from ilctools.measurement.arx.trials import Trials
 from ilctools.measurement.arx.unknowns import Kind, coefficients
 
 
@@ -50,23 +50,18 @@ class ErrorOfP(NamedTuple):
 class Regression:
     """P from m commanded inputs to one output, and the error that it may have."""
 
-    channels: Channels
+    commanded: int  # m: inputs of which P is asked
     mean: np.ndarray  # x, (unknown,)
     data: Data
     posterior: Posterior  # for the likeliest hyperparameters
     C: np.ndarray  # covariance of x, over the points of the quadrature, (unknown, unknown)
-
-    @property
-    def lags(self) -> int:
-        """Lags of A."""
-        return self.data.layout.lags
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """P at angles omega Ts, shape (n, m)."""
         A, layout = self._A(omega), self.data.layout
         B = [
             layout.waves_of_B(j, omega) @ self.mean[layout.where_B(j)]
-            for j in range(self.channels.commanded)
+            for j in range(self.commanded)
         ]
         return np.stack(B, axis=1) / A[:, None]
 
@@ -80,11 +75,11 @@ class Regression:
         of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
         of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
         of_P = []  # dP_j by each unknown, input by input
-        for j in range(self.channels.commanded):
+        for j in range(self.commanded):
             slopes = -P[:, [j]] * of_A  # (6)
             slopes[:, layout.where_B(j)] = layout.waves_of_B(j, omega) / A
             of_P.append(slopes)
-        both = np.stack([*[slope.real for slope in of_P], *[slope.imag for slope in of_P]], axis=1)
+        both = np.stack([*np.real(of_P), *np.imag(of_P)], axis=1)
         parts = np.stack([of_A.real, of_A.imag])
         return ErrorOfP(
             of_P=both @ self.C @ both.swapaxes(1, 2), of_A=np.sum(parts @ self.C * parts, axis=2)
@@ -94,8 +89,9 @@ class Regression:
     def denominator(self) -> np.ndarray:
         """The estimate of A, lag by lag."""
         layout = self.data.layout
-        past = coefficients(self.mean[layout.where(Kind.A)], layout.knots_of_A, self.lags + 1)
-        return np.eye(1, self.lags + 1)[0] + past
+        past = coefficients(self.mean[layout.where(Kind.A)], layout.knots_of_A, layout.lags + 1)
+        past[0] = 1.0  # A is monic
+        return past
 
     @property
     def stable(self) -> bool:
@@ -121,9 +117,9 @@ def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> R
     `delays`, (m,): the least delays of the commanded inputs, samples; more are tried where
     correlations show them. `gain`, (m,): P at rest, if it is known.
     """
-    channels = Channels.of(groups)
-    least = np.zeros(channels.all, int)  # of a known disturbance nothing is known beforehand
-    least[: channels.commanded] = delays
-    best, S = polished(with_delays(Search(groups, direct, gain), least))
+    commanded = groups[0].commanded
+    least = np.zeros(groups[0].u.shape[2], int)  # of a known disturbance nothing is known
+    least[:commanded] = delays
+    best, S = polished(with_delays(groups, direct, least, gain))
     at = posterior(best.eta, best.data)
-    return Regression(channels, at.mean, best.data, at, covariance(best.eta, S, best.data))
+    return Regression(commanded, at.mean, best.data, at, covariance(best.eta, S, best.data))

@@ -17,39 +17,26 @@ import numpy as np
 from scipy.linalg import helmert
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Trials:
     """Trials of the same length, in each of which the same disturbance may repeat: a group."""
 
-    u: np.ndarray  # commanded inputs, (trial, time, m), relative to before the trial
+    # The commanded inputs, relative to before the trial, and after them the known disturbances,
+    # relative to the first sample, (trial, time, m + d).
+    u: np.ndarray
     y: np.ndarray  # (trial, time, p), relative to the first sample
     names: tuple[str, ...]  # of the trials, in messages
-    # the known ones (trial, time, d), relative to the first sample; None if there are none
-    disturbance: np.ndarray | None = None
+    known: int = 0  # d, how many of the inputs are known disturbances
 
     @property
-    def inputs(self) -> np.ndarray:
-        """The commanded inputs, and after them the known disturbances, (trial, time, m + d)."""
-        if self.disturbance is None:
-            return self.u
-        return np.concatenate([self.u, self.disturbance], axis=2)
+    def commanded(self) -> int:
+        """m, the number of inputs of which P is asked: they stand first."""
+        return self.u.shape[2] - self.known
 
 
 def longest_of(groups: Sequence[Trials]) -> int:
     """Samples of the longest trial."""
     return max(group.y.shape[1] for group in groups)
-
-
-class Channels(NamedTuple):
-    """How many inputs the trials have."""
-
-    commanded: int  # of which P is asked
-    all: int  # with the known disturbances, which stand behind them
-
-    @classmethod
-    def of(cls, groups: Sequence[Trials]) -> "Channels":
-        """Those of any of the groups, as all have the same."""
-        return cls(groups[0].u.shape[2], groups[0].inputs.shape[2])
 
 
 class SeriesKey(NamedTuple):
@@ -68,7 +55,7 @@ class Series(NamedTuple):
     """One contrast of the trials of a group, of one output."""
 
     key: SeriesKey
-    inputs: np.ndarray  # (time, m + d)
+    u: np.ndarray  # (time, m + d)
     y: np.ndarray  # (time,)
     trials: int  # of the group
 
@@ -86,16 +73,11 @@ def keys_of(groups: Sequence[Trials]) -> list[SeriesKey]:
 def series_of(groups: Sequence[Trials]) -> Iterator[Series]:
     """All series of the first output, one after the other."""
     for i, group in enumerate(groups):
-        signals = zip(contrasts(group.inputs), contrasts(group.y[..., 0]), strict=True)
-        for k, (inputs, y) in enumerate(signals):
-            yield Series(SeriesKey(i, k), inputs, y, len(group.y))
+        signals = zip(contrasts(group.u), contrasts(group.y[..., 0]), strict=True)
+        for k, (u, y) in enumerate(signals):
+            yield Series(SeriesKey(i, k), u, y, len(group.y))
 
 
 def contrasts(signal: np.ndarray) -> np.ndarray:
     """The contrasts of trials (trial, ...), (contrast, ...)."""
-    return np.tensordot(weights_of_contrasts(len(signal)), signal, 1)
-
-
-def weights_of_contrasts(trials: int) -> np.ndarray:
-    """The orthonormal matrix by which trials become contrasts, (contrast, trial)."""
-    return helmert(trials, full=True)
+    return np.tensordot(helmert(len(signal), full=True), signal, 1)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import diric
 
-from ilctools.measurement.arx.trials import Channels, Trials, keys_of, longest_of
+from ilctools.measurement.arx.trials import Trials, keys_of, longest_of
 
 # The longest trial has so many times the lags of A and B. More lags cost time, fewer cut off slow
 # plants.
@@ -30,9 +30,9 @@ SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
 TIME_CONSTANTS = np.array([1.0, 3.0])  # of slow parts, in 1 / (the longest trial)
 # Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP: up to
-# an eighth of the lag, which saves time. For starts both numbers are divided by these.
+# an eighth of the lag, which saves time. Those of starts are coarser.
 CLOSE_KNOTS, KNOTS_STEP = 40, 8
-COARSER_CLOSE, COARSER_STEP = 6, 2
+CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS = 6, 4
 MOST_OF_STARTS = 300  # unknowns of all starts, for the time they take; with more, first samples go
 DRIFT_KNOTS = 64  # of a drift, between which it is straight
 
@@ -45,6 +45,11 @@ class Kind(IntEnum):
     START = 2  # increments of what the start of a series leaves
     DRIFT = 3  # steps of the drift of a group
     SLOW = 4  # slow parts of the B of an input
+
+    @property
+    def hyperparameter(self) -> str:
+        """The name of the logarithm of c, see `prior`."""
+        return f"log_c_{self.name}"
 
 
 class Block(NamedTuple):
@@ -78,13 +83,14 @@ class Layout:
     knots_of_A: np.ndarray  # lags
     knots_of_B: tuple[np.ndarray, ...]  # lags of each input
     knots_of_start: np.ndarray  # samples after the beginning of a series
+    delays: np.ndarray  # of all inputs, samples
     poles: np.ndarray  # of slow parts
     skipped: int  # samples at the beginning of each series that are left out, if it has no start
 
     @cached_property
     def kind(self) -> np.ndarray:
         """The kind of each unknown, (unknown,)."""
-        return np.concatenate([np.full(len(block.lag), block.kind) for block in self.blocks])
+        return np.repeat([b.kind for b in self.blocks], [len(b.lag) for b in self.blocks])
 
     @cached_property
     def lag(self) -> np.ndarray:
@@ -138,14 +144,17 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
     `direct`: whether y(t) may depend on the commanded inputs at t, or when their delay is over;
     `delays`: of all inputs, (m + d,).
     """
-    longest, commanded = longest_of(groups), Channels.of(groups).commanded
+    longest, commanded = longest_of(groups), groups[0].commanded
     reach = max(FEWEST_LAGS, longest // SHARE_OF_LAGS)
     past, at_once = (knots_between(first, reach, CLOSE_KNOTS, KNOTS_STEP) for first in (1, 0))
     # A disturbance does not follow y: y(t) may depend on it at t, whatever the commands do.
     knots_of_B = tuple(
         delay + (at_once if direct or j >= commanded else past) for j, delay in enumerate(delays)
     )
-    keys, late, start = keys_of(groups), max(delays), _knots_of_start(reach, max(delays))
+    keys, late = keys_of(groups), max(delays)
+    # An input that rested elsewhere before is still on its way until the latest delay.
+    coarse = knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
+    start = np.unique(np.append(0, late + coarse))
     has_starts = len(keys) * len(start) <= MOST_OF_STARTS
     poles = np.exp(-TIME_CONSTANTS / longest)
     blocks = (
@@ -155,13 +164,7 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
         *(Block.of_lags(Kind.START, key, start, late) for key in keys if has_starts),
         *(Block.alike(Kind.DRIFT, i, DRIFT_KNOTS) for i in range(len(groups))),
     )
-    return Layout(blocks, past, knots_of_B, start, poles, 0 if has_starts else reach)
-
-
-def _knots_of_start(reach, late):
-    """An input that rested elsewhere before is still on its way until the latest delay."""
-    knots = knots_between(0, reach, CLOSE_KNOTS // COARSER_CLOSE, KNOTS_STEP // COARSER_STEP)
-    return np.unique(np.append(0, late + knots))
+    return Layout(blocks, past, knots_of_B, start, delays, poles, 0 if has_starts else reach)
 
 
 def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:

@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
+from records import group_of, held, steps
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx.delay import Search, with_delays
-from ilctools.measurement.arx.trials import Trials
+from ilctools.measurement.arx.delay import with_delays
 
 
-def held(rng, N):
-    return np.repeat(rng.standard_normal(N // 3 + 1), 3)[:N]
-
-
-def steps(rng, N):
-    """A rest, up, down and back."""
-    ends = np.cumsum(rng.uniform([0.03, 0.3, 0.25], [0.1, 0.4, 0.35]))
-    return np.select([np.arange(N) < end * N for end in ends], [0, 1, -0.5], 0.4)
+def noise(rng, N):
+    return held(rng, 3, N)
 
 
 def late_lag(seed, excite, N=600):
@@ -25,14 +19,13 @@ def late_lag(seed, excite, N=600):
     pole, u = np.exp(-1 / T), excite(rng, N)
     y = lfilter(np.append(np.zeros(delay), 1 - pole), [1, -pole], u)
     y = y + 0.03 * rng.standard_normal(N)
-    u, y = ((x - x[0])[None, :, None] for x in (u, y))
-    return [Trials(u=u, y=y, names=("trial 1",))], delay
+    return [group_of(y[None], u[None])], delay
 
 
 @pytest.mark.parametrize(
     ("seed", "excite"),
     [
-        (0, held),  # by the correlation of the moves alone: that of the signals is 3 samples late
+        (0, noise),  # by the correlation of the moves alone: that of the signals is 3 samples late
         (8, steps),  # by that of the signals alone: the moves of y are noise
         (1, steps),  # by both
     ],
@@ -40,17 +33,17 @@ def late_lag(seed, excite, N=600):
 def test_a_long_delay_is_found(seed, excite):
     """Up to 10 % before the truth, or as much behind it as noise hides: a fiftieth."""
     groups, delay = late_lag(seed, excite)
-    fit = with_delays(Search(groups, True, None), np.zeros(1, int))
+    fit = with_delays(groups, True, np.zeros(1, int))
     assert 0.9 * delay < fit.data.layout.knots_of_B[0][0] < 1.02 * delay
 
 
 def test_no_delay_is_looked_for_where_the_answer_is_at_once():
     """Nor one before that which is known."""
     rng = np.random.default_rng(0)
-    u = held(rng, 300)
+    u = held(rng, 3, 300)
     y = lfilter([0, 0.3], [1, -0.7], u) + 0.03 * rng.standard_normal(300)
-    groups = [Trials(u=u[None, :, None], y=y[None, :, None], names=("trial 1",))]
-    fit = with_delays(Search(groups, True, None), np.zeros(1, int))
+    groups = [group_of(y[None], u[None])]
+    fit = with_delays(groups, True, np.zeros(1, int))
     assert fit.data.layout.knots_of_B[0][0] == 0
-    known = with_delays(Search(groups, True, None), np.ones(1, int))
+    known = with_delays(groups, True, np.ones(1, int))
     assert known.data.layout.knots_of_B[0][0] == 1

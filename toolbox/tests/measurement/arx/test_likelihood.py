@@ -1,16 +1,17 @@
 """The marginal likelihood: against the same normal distribution, written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from records import dense, trials_of
+from records import dense, group_of, trials_of
 from scipy.optimize import approx_fprime
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx import regressors, unknowns
+from ilctools.measurement.arx import unknowns
 from ilctools.measurement.arx.likelihood import likeliest, negative_log_posterior, polished
 from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, Hyperparameters, prior
 from ilctools.measurement.arx.regressors import data_of
-from ilctools.measurement.arx.trials import Trials
 
 
 @pytest.mark.parametrize(
@@ -20,9 +21,8 @@ from ilctools.measurement.arx.trials import Trials
 def test_the_likelihood_is_that_of_the_normal_distribution(
     monkeypatch, lengths, trials, starts, kept
 ):
-    """Of all samples, some at a time; where starts are too many, without the first."""
+    """Of all samples; where starts are too many, without the first."""
     monkeypatch.setattr(unknowns, "MOST_OF_STARTS", starts)
-    monkeypatch.setattr(regressors, "STRETCH", 16)
     groups = [trials_of(trials, N, seed=N) for N in lengths]
     data = data_of(groups, True, np.array([0, 7]))
     rows, means = dense(groups, data.layout)
@@ -42,30 +42,21 @@ def test_the_likelihood_is_that_of_the_normal_distribution(
     np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=1e-3)
 
 
-def held(rng, N, samples):
-    return np.repeat(rng.standard_normal(N // samples), samples)
-
-
 def with_noise_like_a_drift(seed):
     """One trial with coloured noise."""
     rng = np.random.default_rng(seed)
-    u = held(rng, 60, 3)[None]
+    u = np.repeat(rng.standard_normal((1, 20)), 3, axis=1)
     noise = lfilter([1], [1, -0.9], 0.02 * rng.standard_normal(60))
-    return group_of(u, lfilter([0, 0.2], [1, -0.8], u) + noise)
+    return replace(group_of(lfilter([0, 0.2], [1, -0.8], u) + noise, u), u=u[..., None])
 
 
 def with_what_repeats(seed):
     """Two trials with a random walk that repeats."""
     rng = np.random.default_rng(seed)
-    u = np.stack([held(rng, 60, 5), held(rng, 60, 5)])
+    u = np.repeat(rng.standard_normal((2, 12)), 5, axis=1)
     repeats = np.cumsum(0.3 * rng.standard_normal(60))
     noise = 0.03 * rng.standard_normal(u.shape)
-    return group_of(u, lfilter([0, 0.2], [1, -0.8], u) + repeats + noise)
-
-
-def group_of(u, y):
-    y = y - y[:, :1]
-    return Trials(u=u[..., None], y=y[..., None], names=("",) * len(u))
+    return group_of(lfilter([0, 0.2], [1, -0.8], u) + repeats + noise, u)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ def test_mean_covariance_and_residue_are_those_of_normal_distributions():
     data = data_of([trials_of(3)], True, np.array([0, 7]))
     at = posterior(ETA, data)
     weight = 1 / (1 + np.exp(0.7))
-    G = data.products.single + weight * data.products.means
+    G = data.single + weight * data.means
     D = np.exp(prior(Hyperparameters(*ETA), data.layout).log_D)
     precision = G[:-1, :-1] + np.diag(1 / D)
     mean = np.linalg.solve(precision, G[:-1, -1])
@@ -34,4 +34,4 @@ def test_without_noise_the_residue_is_that_of_rounding():
     """And without means their weight is nothing to estimate."""
     data = data_of([trials_of(1, noise=0.0)], True, np.zeros(2, int))
     at = posterior(ETA + 20 * (np.arange(7) < 2), data)
-    assert at.r >= 1e-14 * data.products.single[-1, -1] and at.weight == 1.0
+    assert at.r >= 1e-14 * data.single[-1, -1] and at.weight == 1.0

@@ -16,10 +16,10 @@ def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparamete
     fit = regression(groups, direct=True)
     best, S = polished(likeliest(data_of(groups, True, np.zeros(2, int)), 40))
     data, expected = best.data, 0.0
-    b, s = data.products.single[:-1, -1], data.products.single[-1, -1]
+    b, s = data.single[:-1, -1], data.single[-1, -1]
     points = best.eta + HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])
     for eta in points:
-        precision = data.products.single[:-1, :-1] + np.diag(
+        precision = data.single[:-1, :-1] + np.diag(
             np.exp(-prior(Hyperparameters(*eta), data.layout).log_D)
         )
         mean = np.linalg.solve(precision, b)

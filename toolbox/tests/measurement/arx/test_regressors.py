@@ -5,8 +5,7 @@ import pytest
 from records import dense, trials_of
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx import regressors as module
-from ilctools.measurement.arx.regressors import data_of, products, regressors
+from ilctools.measurement.arx.regressors import products, regressors
 from ilctools.measurement.arx.trials import series_of
 from ilctools.measurement.arx.unknowns import Kind, coefficients, layout_of
 
@@ -16,7 +15,7 @@ def test_each_regressor_is_the_response_to_a_signal():
     groups = [trials_of(2)]
     layout = layout_of(groups, True, np.array([0, 7]))
     for series in series_of(groups):
-        X = regressors(series, layout).rows(slice(None))
+        X = regressors(series, layout)
 
         def moved(signal, knots, increment):
             g = coefficients(np.eye(len(knots))[increment], knots, 60)
@@ -25,10 +24,10 @@ def test_each_regressor_is_the_response_to_a_signal():
         np.testing.assert_allclose(
             X[layout.where(Kind.A)][4], moved(-series.y, layout.knots_of_A, 4), atol=1e-12
         )
-        late = moved(series.inputs[:, 1], layout.knots_of_B[1], 3)
+        late = moved(series.u[:, 1], layout.knots_of_B[1], 3)
         np.testing.assert_allclose(X[layout.where(Kind.B, 1)][3], late, atol=1e-12)
         p = np.exp(-3 / 60)  # a third of a trial
-        slow = lfilter([0, 1 - p], [1, -p], series.inputs[:, 0])
+        slow = lfilter([0, 1 - p], [1, -p], series.u[:, 0])
         np.testing.assert_allclose(X[layout.where(Kind.SLOW, 0)][1], slow, atol=1e-12)
         own, others = (X[layout.where(Kind.START, key)] for key in ((0, 0), (0, 1)))
         own, others = (own, others) if series.is_mean else (others, own)
@@ -40,10 +39,8 @@ def test_each_regressor_is_the_response_to_a_signal():
         np.testing.assert_allclose(drift[:, [0, -1]], np.tile(ends, (len(drift), 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize("stretch", [7, 2048])
-def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
-    """Stretch by stretch, and with a column beside them that is found by the key of its series."""
-    monkeypatch.setattr(module, "STRETCH", stretch)
+def test_products_are_those_of_all_rows_at_once():
+    """And with a column beside them that is found by the key of its series."""
     groups = [trials_of(2), trials_of(1, N=40)]
     layout = layout_of(groups, True, np.array([0, 7]))
     rows, means = dense(groups, layout)
@@ -51,7 +48,7 @@ def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
     for part, which in ((found.single, ~means), (found.means, means)):
         Z = rows[which]
         np.testing.assert_allclose(part, Z.T @ Z, atol=1e-9 * np.abs(Z.T @ Z).max())
-    assert (found.samples, found.samples_of_means) == (160 - 6, 60 - 2)
+    assert (found.n, found.n_1) == (160 - 6, 60 - 2)
     beside = {series.key: series.y[None] ** 2 for series in reversed([*series_of(groups)])}
     wide = products(groups, layout, lambda series: beside[series.key])
     np.testing.assert_allclose(wide.single[:-1, :-1], found.single, rtol=1e-12, atol=1e-9)
@@ -63,17 +60,3 @@ def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
 def _without_line(z):
     line = np.vander(np.arange(len(z)), 2)
     return z - line @ np.linalg.lstsq(line, z)[0]
-
-
-def test_a_known_P_at_rest_is_a_row_that_hardly_errs():
-    """The products grow by the square of what unknowns miss it by."""
-    groups, delays, gain = [trials_of(1)], np.zeros(2, int), np.array([3.0, -2.0])
-    free, known = (data_of(groups, True, delays, gain=given) for given in (None, gain))
-    layout, added = known.layout, known.products.single - free.products.single
-    x = np.random.default_rng(0).standard_normal(layout.size)
-    rest = np.zeros(1)
-    A = 1 + (layout.waves_of_A(rest) @ x[layout.where(Kind.A)]).real
-    B = [(layout.waves_of_B(j, rest) @ x[layout.where_B(j)]).real for j in range(2)]
-    missed = np.sum((np.array(B)[:, 0] - gain * A) ** 2)
-    both = np.append(-x, 1.0)
-    assert both @ added @ both == pytest.approx(1e6 * missed, rel=1e-6)

@@ -36,8 +36,7 @@ def test_every_unknown_has_one_place():
 
 @pytest.mark.parametrize("direct", [True, False])
 def test_lags_begin_at_the_delay_or_a_sample_later_but_not_of_a_disturbance(direct):
-    group = trials_of(1)
-    group = replace(group, disturbance=np.ones((1, 60, 1)))
+    group = replace(trials_of(1, m=3), known=1)
     layout = layout_of([group], direct, np.array([0, 7, 2]))
     later = 0 if direct else 1
     assert [knots[0] for knots in layout.knots_of_B] == [later, 7 + later, 2]

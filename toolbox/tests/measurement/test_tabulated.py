@@ -2,9 +2,12 @@
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
+from plants import lag as lag_model
 
 from ilctools import measured_response
+from ilctools.models import frequency_response
 
 LINES = np.geomspace(5.0, 600.0, 14)
 
@@ -41,3 +44,27 @@ def test_units_and_what_is_no_table():
             measured_response(table(), **{name: value})
     with pytest.raises(ValueError, match="four positive increasing"):
         measured_response(control.frd([1, 0.5], [1, 2]))
+
+
+def edges(band):
+    """Its lower and upper edge, frequency by frequency."""
+    return pd.DataFrame(band.get_paths()[0].vertices).groupby(0)[1].agg(["min", "max"])
+
+
+def test_any_measured_response_draws_itself_and_goes_to_python_control():
+    """The band is as wide as was given; some entries are zero."""
+    plant, omega = control.append(lag_model(), 2 * lag_model()), np.geomspace(1e-2, 1.5, 30)
+    table = control.frd(plant, omega, smooth=False)
+    measured = measured_response(table, uncertainty=np.full(30, 0.05))
+    truth = frequency_response(plant, omega)
+    np.testing.assert_allclose(np.moveaxis(measured.frd().frdata, -1, 0), truth, rtol=1e-12)
+    assert measured.frd().dt == plant.dt
+    figure = measured.plot()
+    gains, phases = np.array(figure.axes).reshape(2, 4)  # a column each: 00, 01, 10, 11
+    for k, (i, j) in enumerate(np.ndindex(2, 2)):
+        band, size = edges(gains[k].collections[0]), np.abs(truth[:, i, j])
+        np.testing.assert_allclose(band["max"], size + 0.05)
+        np.testing.assert_allclose(band["min"], np.maximum(size - 0.05, size / 10))
+        _, turned = phases[k].lines[0].get_data()
+        np.testing.assert_allclose(np.exp(1j * np.radians(turned)) * size, truth[:, i, j])
+    figure.canvas.draw()

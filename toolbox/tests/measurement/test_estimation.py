@@ -1,0 +1,84 @@
+"""What an estimate says: its region, its model, and whether a log contradicts it."""
+
+import numpy as np
+import pytest
+from plants import lag, lags, stage, tanks
+from records import answer, covers, held, in_a_loop, log_of, moved
+from scipy.signal import lfilter
+
+from ilctools import current_trial_loop, measured_response
+from ilctools.law.notes import loop_note
+from ilctools.measurement.estimation import quantile
+from ilctools.signals import dataset
+
+LAG = lag()
+SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
+PLANTS = {  # a model, samples and for how many of them the input is held
+    "a stage, in mm": (lambda: stage()[:, :1], 2000, 10),
+    "three tanks": (lambda: tanks()[:, 1:], 200, 6),
+}
+
+
+@SETTLES  # the stage integrates
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_region_holds_and_a_model_is_in_it(name):
+    make, N, samples = PLANTS[name]
+    estimate = measured_response(moved(make(), N, samples=samples))
+    assert covers(estimate, make()) and estimate.known.mean() > 0.5
+    model = estimate.model()
+    assert covers(estimate, model)
+    assert (model.dt, model.input_labels) == (make().dt, estimate.record.inputs)
+    assert make().nstates <= model.nstates <= make().nstates + 1
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4, 1e-2])
+def test_the_radius_follows_the_noise_down_to_none(noise):
+    estimate = measured_response(moved(LAG, 300, noise=noise))
+    assert covers(estimate, LAG)
+    if noise:  # else, and up to 1e-6, the radius is that of rounding, another one elsewhere
+        assert np.median(estimate.radius()) < 5 * noise
+        assert estimate.model().nstates in (1, 2)
+    assert not measured_response(moved(LAG, 300, noise=noise), delay=1).model().D.any()
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
+def test_the_quantile_of_a_ratio_is_exceeded_as_often_as_it_states(share):
+    """(2), for one circular error and an A that is independent of it: by a million draws."""
+    most = quantile(np.ones(1), np.full(1, 0.5**0.5), np.full((1, 2, 1), share / 2), 0.01)
+    z = np.random.default_rng(0).standard_normal((4, 1_000_000)) / 2**0.5
+    beyond = np.hypot(*z[:2]) > most * np.abs(1 + share**0.5 * (z[2] + 1j * z[3]))
+    assert np.mean(beyond) == pytest.approx(0.01, abs=5e-4)  # five standard deviations
+
+
+def test_another_log_contradicts_or_does_not():
+    estimate = measured_response(moved(LAG, 300))
+    for start in (0.0, 2.0):
+        log = moved(LAG, 300, seed=1)
+        same = estimate.check(log.assign(y=log.y + start * 0.9 ** np.arange(300)[:, None]))
+        assert not same.contradicts and same.by == 0
+    twice = estimate.check(moved(2 * LAG, 100, seed=2))
+    assert twice.contradicts and twice.by == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_loop_whose_reference_is_not_known_is_refused():
+    """The commands follow what the noise has done; of one log it is known, of another it is not."""
+    rng = np.random.default_rng(0)
+    noise = lfilter([1], [1, -0.5], rng.standard_normal(600))
+    reference = 3 * held(rng, 20, 600)
+    u, y = in_a_loop(([0, 0.1], [1, -0.9]), ([2], [1]), reference, noise)
+    log = log_of(u[None], y[None])
+    with pytest.raises(ValueError, match="u follows y"):
+        measured_response([log, log.assign(reference=log.y)])
+
+
+def test_a_loop_whose_observer_integrates_is_known_at_rest():
+    """If the log names it."""
+    loop, rng = current_trial_loop(lags()), np.random.default_rng(0)
+    w = held(rng, 20, 2, 100)
+    y = answer(loop.P, w - w[:, :1]) + 0.05 * rng.standard_normal(w.shape)
+    r, y = (signal.T[None] for signal in (w, y))
+    log = dataset(loop.Ts, loop.outputs, loop.controls, [], {}, reference=r, v=0 * r, y=y)
+    named = log.assign_attrs(loop=loop_note(loop))
+    (P, radius), (_, wide) = (measured_response(one).on([1e-4]) for one in (named, log))
+    np.testing.assert_allclose(P[0].real, np.eye(2), atol=1e-4)
+    assert radius < 0.01 < 0.5 < wide
