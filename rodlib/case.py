@@ -13,9 +13,7 @@ from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop
 from ilctools.loop.design import current_trial_loop
 from ilctools.models import minimal_realisation
-from rodlib.rod import Rod, midr
-
-PAPER = Rod()
+from rodlib.rod import PAPER_ROD, Rod, midr
 
 
 def paper_choices(**changes) -> dict:
@@ -50,7 +48,7 @@ def paper_choices(**changes) -> dict:
     return papers | changes
 
 
-def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
+def paper_loop(rod: Rod = PAPER_ROD, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
     """Build the paper's current-trial loop, Section IV.
 
     Parameters

@@ -40,7 +40,7 @@ IN_WORDS, UNCHECKED = "in words", "cannot be checked"
 OTHER = "not the paper's parameters"
 VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
 DEVIATIONS = Path(__file__).with_name("deviations.md")
-WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
+SENTENCE_PREFIX = "words: "  # of a criterion that is a sentence with a place for the number
 KINDS = {
     "printed": "printed numbers",
     "derived": "invariants of the feedback gains, for 40 printed entries",
@@ -51,8 +51,8 @@ KINDS = {
     "taken over": "taken over; could hardly differ",
     "identity": "imposed or algebra; could hardly differ",
 }
-NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
-NEGLIGIBLE = f"below {NOISE:g}"
+LEAST_SHOWN = 1e-9  # what is smaller is rounding, and not the same on two machines
+BELOW_LEAST = f"below {LEAST_SHOWN:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
@@ -88,24 +88,24 @@ def judged(claim: Claim, computed: float) -> dict[str, str]:
     if claim.criterion == UNCHECKED:
         return {"verdict": UNCHECKED}
     value = float(computed)
-    if claim.criterion.startswith(WORDS):
-        sentence = claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
+    if claim.criterion.startswith(SENTENCE_PREFIX):
+        sentence = claim.criterion.removeprefix(SENTENCE_PREFIX).format(f"{value:.3g}")
         return {"computed": sentence, "verdict": IN_WORDS}
     text = shown(claim, value)
-    outcome, deviation = verdict(claim, value if text == NEGLIGIBLE else float(text))
+    outcome, deviation = verdict(claim, value if text == BELOW_LEAST else float(text))
     *_, tolerance = rule(claim)
     return {
         "computed": text,
         "tolerance": f"± {tolerance:.2g}" if tolerance else claim.criterion,
-        "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
+        "deviation": f"{deviation:.1e}" if abs(deviation) > LEAST_SHOWN else "",
         "verdict": outcome,
     }
 
 
 def shown(claim: Claim, value: float) -> str:
     """A computed number with as many digits as are printed."""
-    if 0 < abs(value) <= NOISE:
-        return NEGLIGIBLE
+    if 0 < abs(value) <= LEAST_SHOWN:
+        return BELOW_LEAST
     places = published.decimals(claim.printed)
     return f"{value:z.{SIGNIFICANT}g}" if places is None else f"{value:z.{places}f}"
 
@@ -131,7 +131,7 @@ class Ledger:
         A matrix has the shape that :func:`rodlib.paper.published.matrix` gives it; None stands for
         what cannot be checked.
         """
-        if key in published.MATRICES:
+        if key in published.PRINTED_MATRICES:
             for entry, name in np.ndenumerate(published.keys(key)):
                 if name:
                     self.record(name, computed[entry])

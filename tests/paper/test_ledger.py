@@ -55,7 +55,7 @@ def test_tracked_rows_follow_from_what_they_show():
     book = Ledger("test")
     for key, shown in zip(ROWS.key, ROWS.computed, strict=True):
         before, _, after = published.claims()[key].criterion.partition("{}")
-        number = shown.removeprefix(before.removeprefix(ledger.WORDS)).removesuffix(after)
+        number = shown.removeprefix(before.removeprefix(ledger.SENTENCE_PREFIX)).removesuffix(after)
         book.record(key, 3e-15 if number.startswith("below") else number or None)
     columns = ledger.COLUMNS[:-2]
     rows = book.frame()[columns].reset_index(drop=True)
@@ -68,7 +68,7 @@ def test_every_claim_has_a_kind_that_is_counted_or_named():
     assert {entry.kind for entry in entries} == {*ledger.KINDS}
     for entry in entries:
         assumed = re.search("assumed|synthetic|virtual", entry.claim + entry.note)
-        in_words = entry.criterion.startswith(ledger.WORDS)
+        in_words = entry.criterion.startswith(ledger.SENTENCE_PREFIX)
         assert entry.kind not in ("printed", "derived") or not (assumed or in_words), entry.key
         assert not (in_words and re.match(r"[\d.]+$", entry.printed)), entry.key
 

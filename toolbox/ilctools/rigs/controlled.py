@@ -33,7 +33,7 @@ class ControlledRig:
         self.controller = self.new_controller()
         self.due: float | None = None  # when the next sample is, by the clock; None: when it comes
         self.late: list[float] = []  # by how much each sample of a trial is not on time, s
-        self.restless = ""  # what the last pause warns of
+        self.pause_warning = ""  # of the last pause
         self.place = ""  # trial and sample, as errors say it
 
     def new_controller(self) -> Controller | None:

@@ -18,7 +18,7 @@ from ilctools.signals import dataset
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
 
-NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
+COMPARED_NOTES = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 
 
 @dataclass
@@ -71,7 +71,7 @@ class Experiment:
         same = {
             "reference": np.array_equal(log.reference[: len(asked)], asked),
             "v of trial 1": np.array_equal(log.v[0], self.v_after([])),
-            **{key: log.attrs.get(key) == self.notes.get(key) for key in NOTED},
+            **{key: log.attrs.get(key) == self.notes.get(key) for key in COMPARED_NOTES},
             "disturbances": sources == self.about.signals.disturbances,
             "numbers": log.trial.values[-1] == len(log.trial),
         }
@@ -112,7 +112,7 @@ class Experiment:
 
     def add_trials(self, rig: ControlledRig, past: Past, file: TrialLog) -> None:
         """Run the trials that are missing; save each, and warn of what it shows."""
-        ended, count, said = len(past.trials), len(self.reference), set()
+        ended, count, kinds_warned_of = len(past.trials), len(self.reference), set()
         with progress(total=self.reference[ended:, :, 0].size) as bar:
             if self.about.goes_on:
                 rig.begin(ended + 1)
@@ -124,7 +124,7 @@ class Experiment:
                 if not self.about.goes_on:
                     file.finish()
                 shown = warnings_of(self.about, past.log, past.trials, rig.late)
-                warn_once({"pause": rig.restless} | shown, said)
+                warn_once({"pause": rig.pause_warning} | shown, kinds_warned_of)
             file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
@@ -136,7 +136,7 @@ class Experiment:
                 rig.begin(number)
                 if past:
                     start = start_of(self.about, past[0])
-                    rig.restless = rig.pause(number, self.pause, reference[0], start)
+                    rig.pause_warning = rig.pause(number, self.pause, reference[0], start)
             return rig.drive(number, w, self.flows[number - 1, now], bar, now.start)
 
         loop = self.about.loop
