@@ -120,7 +120,8 @@ class ControlledRig:
             name: self.about.rounded(signal, float(self.reading(name, measured.get(name), ())))
             for name, signal in signals.measured_as.items()
         }
-        return Reading(self.reading(signals.of_outputs, y, (len(signals.outputs),)), values)
+        outputs = f"reading of {', '.join(signals.outputs)}"
+        return Reading(self.reading(outputs, y, (len(signals.outputs),)), values)
 
     def reading(self, name: str, values, shape: tuple) -> np.ndarray:
         """What the driver gave, as an array; a RigError that says when, if it is none.

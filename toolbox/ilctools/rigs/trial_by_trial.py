@@ -1,5 +1,6 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,15 +47,17 @@ class Experiment:
         if path is None:
             return self.go_on(Past(self.notes), None)
         path = log_path(path)
-        with without_others(path) as denied:
-            past = self.past_in(path)
-            missing = len(self.reference) - len(past.trials)
-            if denied and missing > 0:
-                raise PermissionError(
-                    f"path = '{path}' cannot be written to, but {missing} of "
-                    f"{len(self.reference)} trials are not in it: give another path ({denied})"
-                )
-            return self.go_on(past, path)
+        past = self.past_in(path)
+        missing = len(self.reference) - len(past.trials)
+        if missing <= 0:
+            return past.log  # which may be where nothing can be written
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(
+                f"path = '{path}' cannot be written to, but {missing} of {len(self.reference)} "
+                "trials are not in it: give another path"
+            )
+        with without_others(path):  # who may have added trials until now
+            return self.go_on(self.past_in(path), path)
 
     def past_in(self, path: Path) -> Past:
         """The trials of the log at `path`, if there is one; those of another are refused."""

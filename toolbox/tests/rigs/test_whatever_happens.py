@@ -268,26 +268,15 @@ def test_a_log_that_another_program_writes_during_a_trial_is_left_alone(tmp_path
 
 
 def test_a_complete_log_in_a_folder_that_is_read_only_is_returned(tmp_path, monkeypatch):
-    path, axis, opened = tmp_path / "log.csv", Axis(), open
+    path, axis = tmp_path / "log.csv", Axis()
     log = record(axis, LOOP, LAW, REFERENCE, trials=2, path=path)
     (tmp_path / ".log.csv.lock").unlink()
     begun, x = partial(record, axis, LOOP, LAW, REFERENCE, path=path), axis.x
-
-    def denied(name, mode="r", *others, **options):
-        """As for a user who is not root."""
-        if mode[0] in "aw" and Path(name).parent == tmp_path:
-            raise PermissionError(13, "Permission denied", str(name))
-        return opened(name, mode, *others, **options)
-
-    tmp_path.chmod(0o555)
-    monkeypatch.setattr("builtins.open", denied)
-    try:
-        for trials in (1, 2):
-            assert begun(trials=trials).identical(log)
-        with pytest.raises(PermissionError, match=r"log\.csv' cannot be .* but 3 of 5 trials are"):
-            begun(trials=5)
-    finally:
-        tmp_path.chmod(0o755)
+    monkeypatch.setattr(os, "access", lambda folder, mode: (folder, mode) != (tmp_path, os.W_OK))
+    for trials in (1, 2):
+        assert begun(trials=trials).identical(log)
+    with pytest.raises(PermissionError, match=r"log\.csv' cannot be .* but 3 of 5 trials are"):
+        begun(trials=5)
     assert axis.x == x and os.listdir(tmp_path) == ["log.csv"]
 
 
