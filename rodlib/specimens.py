@@ -89,7 +89,7 @@ class Spread:
         arguments.instance("rod", rod, Rod)
         _check_share("share", share)
         sensors = share * rod.length / rod.sections / 2
-        return cls(share, share, share, share, share, sensors)
+        return cls(*[share] * 5, sensors=sensors)
 
     def specimen(self, deviations, nominal: Rod = PAPER_ROD) -> Specimen:
         """The rod that is off by these shares of the spread.

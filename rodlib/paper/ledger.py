@@ -25,6 +25,7 @@ unit of the last digit shown, the ledger stays as it is.
 import json
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -63,19 +64,27 @@ COLUMNS = [
 ]  # fmt: skip
 
 
-def rule(claim: Claim) -> tuple[str, float, float]:
-    """How a number is judged: ("<", 0.1, 0), or by a tolerance as in ("", 0.58, 0.01)."""
+class Rule(NamedTuple):
+    """How a number is judged: by its relation to a bound, or by its distance from a number."""
+
+    number: float
+    tolerance: float = 0.0
+    relation: str = ""  # to the number, a key of COMPARE; "": within the tolerance
+
+
+def rule(claim: Claim) -> Rule:
+    """By what the number of a claim is judged."""
     if not claim.criterion:
-        return "", published.value(claim.printed), published.half_unit(claim.printed)
+        return Rule(published.value(claim.printed), published.half_unit(claim.printed))
     if " +- " in claim.criterion:
-        return "", *map(float, claim.criterion.split(" +- "))
+        return Rule(*map(float, claim.criterion.split(" +- ")))
     relation, bound = claim.criterion.split()
-    return relation, float(bound), 0.0
+    return Rule(float(bound), relation=relation)
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     """A verdict, and the deviation from the printed number, or from a criterion missed."""
-    relation, number, tolerance = rule(claim)
+    number, tolerance, relation = rule(claim)
     deviation = computed - number
     if relation:
         return (REPRODUCED, 0.0) if COMPARE[relation](deviation, 0) else (DIFFERS, deviation)
@@ -93,7 +102,7 @@ def judged(claim: Claim, computed: float) -> dict[str, str]:
         return {"computed": sentence, "verdict": IN_WORDS}
     text = shown(claim, value)
     outcome, deviation = verdict(claim, value if text == BELOW_LEAST else float(text))
-    *_, tolerance = rule(claim)
+    tolerance = rule(claim).tolerance
     return {
         "computed": text,
         "tolerance": f"± {tolerance:.2g}" if tolerance else claim.criterion,
