@@ -106,17 +106,13 @@ def test_a_reading_of_one_output_may_be_a_number_and_of_several_may_not():
 )
 def test_an_error_of_a_reading_says_in_which_trial_and_sample(method, bad, name):
     """In its text, which a log of a service has without notes."""
-    good = np.arange(206) * 0.01 if method == "clock" else [[0.0]] * 206
+    good = {"read": [[0.0]] * 206, "clock": np.arange(206) * 0.01, "wind": [0.0] * 207}
+    given = {"wind": lambda: 0.0, method: partial(next, iter(good[method]), bad)}
 
     class Windy(Axis):
-        @property
-        def measured(self):
-            return {"wind": windy()}
+        measured = property(lambda axis: {"wind": axis.wind()})  # one more, to see if it is there
 
-    axis, windy = Windy(), partial(next, iter([0.0] * 207), bad)  # one to see if it is there
-    if method != "wind":
-        setattr(axis, method, partial(next, iter(good), bad))
-    loop = replace(TASK["loop"], disturbances=["wind"] if method == "wind" else [])
+    loop = replace(TASK["loop"], disturbances=["wind"])
     with pytest.raises(RigError) as error:
-        record(axis, **TASK | {"loop": loop}, pause=0)
+        record(Windy(**given), **TASK | {"loop": loop}, pause=0)
     assert str(error.value).startswith(f"trial 2, sample 7: {name} ")
