@@ -62,7 +62,7 @@ newest: $(BIN)/ready  ## unit tests with the newest packages that pyproject.toml
 	$(BIN)/uv pip install --quiet --upgrade --python build/newest -e ./toolbox -e ".[dev]"
 	build/newest/bin/pytest -q
 
-measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=survey; alone, it lists what there is
+measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=regions; alone, it lists what there is
 	@grep -qs __main__ "benchmarks/$(WHAT).py" || { \
 		test -z "$(WHAT)" || echo "WHAT=$(WHAT) is not there; these are:" >&2; \
 		grep -l __main__ benchmarks/*.py | xargs grep -m 1 '^"""' \

@@ -6,7 +6,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
 
 from tqdm import tqdm
 
@@ -15,15 +14,10 @@ from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 
 
-def run(function, cases, executor=None):
-    """Results of a function for many cases, in their order, while others are computed.
-
-    A case is the argument, or a tuple of all arguments. `executor` is any of concurrent.futures;
-    default: a process for each core.
-    """
-    cases = [case if isinstance(case, tuple) else (case,) for case in cases]
-    with ProcessPoolExecutor() if executor is None else nullcontext(executor) as pool:
-        yield from tqdm(pool.map(function, *zip(*cases, strict=True)), total=len(cases))
+def run(function, cases):
+    """Results of a function for many cases, in their order, by a process for each core."""
+    with ProcessPoolExecutor() as pool:
+        yield from tqdm(pool.map(function, cases), total=len(cases))
 
 
 def table(titles, rows):

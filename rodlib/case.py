@@ -13,9 +13,12 @@ from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop
 from ilctools.loop.design import current_trial_loop
 from ilctools.models import minimal_realisation
-from rodlib.rod import Rod, midr
+from rodlib.rod import PAPER_ROD, Rod, midr
 
-PAPER = Rod()
+MOVES = (  # of each output, up, to the second plateau and down: from when to when, s of 2500
+    ((100, 700), (1000, 1400), (1700, 2300)),
+    ((200, 900), (1200, 1500), (1700, 2350)),
+)
 
 
 def paper_choices(**changes) -> dict:
@@ -50,7 +53,7 @@ def paper_choices(**changes) -> dict:
     return papers | changes
 
 
-def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
+def paper_loop(rod: Rod = PAPER_ROD, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
     """Build the paper's current-trial loop, Section IV.
 
     Parameters
@@ -138,7 +141,7 @@ def assumed_reference(
     samples = arguments.whole("samples", samples, 1)
     what = "0.7 or more, since slower moves do not end within the trial"
     steepness = arguments.number("steepness", steepness, what, least=0.7)
-    (first_1, second_1), (first_2, second_2) = arguments.array("plateaus", plateaus, (2, 2))
+    plateaus = arguments.array("plateaus", plateaus, (2, 2))
     time = np.arange(samples) / samples * 2500
 
     def step(start, stop):
@@ -147,11 +150,11 @@ def assumed_reference(
         s = np.clip((time - begins) / duration, 0, 1)
         return s**3 * (10 - 15 * s + 6 * s**2)
 
-    up, across, down = step(100, 700), step(1000, 1400), step(1700, 2300)
-    first = first_1 * up + (second_1 - first_1) * across - second_1 * down
-    up, across, down = step(200, 900), step(1200, 1500), step(1700, 2350)
-    second = first_2 * up + (second_2 - first_2) * across - second_2 * down
-    return np.stack([first, second], axis=1)
+    outputs = [
+        first * step(*up) + (second - first) * step(*across) - second * step(*down)
+        for (first, second), (up, across, down) in zip(plateaus, MOVES, strict=True)
+    ]
+    return np.stack(outputs, axis=1)
 
 
 def assumed_disturbance(

@@ -82,6 +82,9 @@ class Rod:
         return [f"y{i + 1}" for i in range(len(self.sensors))]
 
 
+PAPER_ROD = Rod()  # Section IV
+
+
 def bernstein_basis(rod: Rod, degree: int) -> BPoly:
     """Continuous piecewise polynomials in Bernstein form, (5)-(7), as functions of z (m).
 

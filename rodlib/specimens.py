@@ -16,9 +16,8 @@ from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop
 from ilctools.threads import on_one_thread
 from rodlib.held import sampled_response
-from rodlib.rod import Rod, labelled, midr
+from rodlib.rod import PAPER_ROD, Rod, labelled, midr
 
-PAPER = Rod()
 BATCH = 100  # specimens that a worker takes at a time: some 0.1 s, long against handing them over
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
 
@@ -85,14 +84,14 @@ class Spread:
         arguments.not_negative("sensors", self.sensors, "a length in metres, 0 or more")
 
     @classmethod
-    def of_all(cls, share: float, rod: Rod = PAPER) -> "Spread":
+    def of_all(cls, share: float, rod: Rod = PAPER_ROD) -> "Spread":
         """Everything off by the same share; the sensors by that of half a section of `rod`."""
         arguments.instance("rod", rod, Rod)
         _check_share("share", share)
         sensors = share * rod.length / rod.sections / 2
-        return cls(share, share, share, share, share, sensors)
+        return cls(*[share] * 5, sensors=sensors)
 
-    def specimen(self, deviations, nominal: Rod = PAPER) -> Specimen:
+    def specimen(self, deviations, nominal: Rod = PAPER_ROD) -> Specimen:
         """The rod that is off by these shares of the spread.
 
         Parameters
@@ -115,7 +114,7 @@ class Spread:
         return Specimen(rod, tuple((1 + self.gains * gains).tolist()))
 
 
-def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Specimen:
+def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER_ROD) -> Specimen:
     """Draw a rod by number, the same one wherever and in whatever order it is drawn.
 
     Parameters

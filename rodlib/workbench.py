@@ -20,7 +20,9 @@ from ilctools.synthesis.result import Synthesis
 from ilctools.units import with_unit
 from rodlib.paper.figures import ACCENT, SHADES
 
-FREQUENCIES = 236  # of the design: those of ten samples need none between; the paper has 1000
+DESIGN_FREQUENCIES = (
+    236  # of the design: those of ten samples need none between; the paper has 1000
+)
 TRIALS, REST = 10, 15  # the latter: samples at the end of a trial in which v is zero
 LOOK = {"axes.autolimit_mode": "round_numbers", "axes.prop_cycle": cycler(color=SHADES)}
 BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
@@ -64,7 +66,7 @@ def try_out(
     (10, 10)
     """
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    omega = np.geomspace(1e-4, np.pi, FREQUENCIES) / loop.Ts
+    omega = np.geomspace(1e-4, np.pi, DESIGN_FREQUENCIES) / loop.Ts
     with warnings.catch_warnings(action="ignore"):  # the certificate has them
         design = synthesise(loop, Q, omega, **{"everywhere": True} | choices)
     noise = noise * np.random.default_rng(0).standard_normal((TRIALS, *np.shape(reference)))

@@ -1,6 +1,5 @@
-"""Rods of any material, and one with the modes of its series as states."""
+"""Rods of any material, and a rig that fails."""
 
-import control
 import numpy as np
 from hypothesis import strategies as st
 
@@ -8,8 +7,6 @@ from ilctools import LearningFilter
 from rodlib import Rod
 from rodlib.paper import published
 from rodlib.rigs import RestartingRig, RigParameters
-from rodlib.rod import labelled
-from rodlib.rod import modes as modes_of
 
 PRINTED = LearningFilter(published.matrix("L_diagonal"), 1.0)  # the paper's diagonal one
 MATERIALS = st.builds(
@@ -38,23 +35,15 @@ BRASS = Rod(
 
 
 class Failing(RestartingRig):
-    """Goes wrong in one sample, counted from 0: it shows a list, or an error comes."""
+    """Shows something else in one sample, counted from 0."""
 
     def __init__(self, sample=np.inf, shown=None):
         super().__init__(parameters=RigParameters(modes=10))
-        self.sample, self.shown, self.commands = sample, shown, []
+        self.sample, self.shown = sample, shown
 
     def read(self):
         self.sample -= 1
-        if self.sample != -1:
-            return super().read()
-        if isinstance(self.shown, list):
-            return self.shown
-        raise self.shown
-
-    def apply(self, heat_flows):
-        self.commands.append(np.array(heat_flows))
-        super().apply(heat_flows)
+        return self.shown if self.sample == -1 else super().read()
 
 
 def readings_of(rig, commands):
@@ -64,10 +53,3 @@ def readings_of(rig, commands):
         readings.append(rig.read())
         rig.apply(command)
     return np.array(readings)
-
-
-def modal_model(specimen, Ts, modes=250):
-    """The rod behind a hold with so many modes, whose elements have gains."""
-    s, B, C = modes_of(specimen.rod, np.arange(modes))
-    model = labelled(specimen.rod, np.diag(s), B * [*specimen.gains, 1], C)
-    return control.sample_system(model, Ts, "zoh")

@@ -2,16 +2,12 @@
 
 import re
 from contextlib import nullcontext
-from importlib import import_module
 from types import SimpleNamespace
 
 import bench_synthesis
-import numpy as np
 import pytest
 import regions
 import runner
-import survey
-import whole_way
 
 
 @pytest.fixture
@@ -34,41 +30,16 @@ def page(tmp_path, monkeypatch):
     return written
 
 
-@pytest.mark.parametrize(
-    ("name", "few", "said"),
-    [
-        (  # of five, one is infeasible, and CVXPY says the same
-            "survey",
-            [(4, 11, 12, 44, 338)],
-            r"^5 problems: 4 end with a certified filter, 1 are infeasible, 0 fail\."
-            r".*M_max of 1 of the 1 infeasible .* of the 3 that .* one plant: 3 end",
-        ),
-        (
-            "whole_way",
-            [[("motor", 1.0, 4), ("levitation", 1.0, 4), ("motor", -3.0, 4)]],  # too light to hold
-            r"\| motor \| 1 \| 1 \| 0.01 \| 0\.00\d+ \| 0\.12\d* \| 3\.36 \| 0\.0\d+ \| 0\.05"
-            r" \|  \| learned \|.*\| none \|.*3 ways: 2 learned, 1 said so",
-        ),
-    ],
-)
-def test_a_few_cases_run_and_are_counted(name, few, said, page):
-    assert re.search(said, page(name, import_module(name).main, *few), re.DOTALL)
-
-
-def test_regions_are_counted(monkeypatch):
-    """A kind that is known, one with filters, and one that is refused."""
+def test_regions_are_counted(page, monkeypatch):
+    """A kind with filters, and one that is refused."""
     monkeypatch.setattr(regions, "RECORDS", 2)
-    row = regions.counted("resonance, noise")
-    assert len(row) == len(regions.TITLES) and row[-1] == "2, 2" and row[3:5] == ["100.0%"] * 2
-    row = regions.counted("a loop without its reference")
-    assert row[2:8] == [""] * 6 and row[8:10] == ["2", "2"]
-
-
-def test_what_fails_or_learns_nothing_in_silence_is_counted(monkeypatch):
-    late = {"rms": np.array([1.0, 0.01, 0.3]), "noise": 0.01, "said": []}
-    assert whole_way.end_of(late) == "silent"
-    monkeypatch.setattr(survey, "synthesise", lambda *arguments, **options: 1 / 0)
-    assert survey.outcome(4)["end"].startswith("ZeroDivisionError")
+    kinds = ["resonance, noise", "a loop without its reference"]
+    known, refused = rows = [*runner.run(regions.counted, kinds)]
+    assert len(known) == len(regions.TITLES) and known[-1] == "2, 2"
+    assert known[3:5] == ["100.0%"] * 2
+    assert refused[2:8] == [""] * 6 and refused[8:10] == ["2", "2"]
+    lines = page("regions", runner.publish, "regions", runner.table(regions.TITLES, rows))
+    assert lines.splitlines()[2:] == [f"| {' | '.join(row)} |" for row in rows]
 
 
 def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatch):

@@ -18,7 +18,7 @@ from rodlib.paper.repository import ROOT
 pytestmark = pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
 
 TARGETS = re.findall(r"^(\w+):.*##", (ROOT / "Makefile").read_text(), re.MULTILINE)
-WORDS = {"measure": "WHAT=survey", "machines": "SEED=2"}  # that a recipe needs
+WORDS = {"measure": "WHAT=regions", "machines": "SEED=2"}  # that a recipe needs
 COMMAND = re.compile(
     r"(?:^|[;&]) *(?:PYTHONPATH=(?P<path>\S+) |\w+=\S+ )?\S*\.venv/bin/"
     r"(?P<program>[\w-]+) (?P<module>-m )?(?P<first>\S+)",
@@ -58,7 +58,7 @@ def test_a_measurement_that_is_not_there_is_said_with_those_that_are(name):
     assert outcome.stderr.startswith(f"WHAT={name} is not there; these are:\nmake: ***")
     listed = re.findall(r"^make measure WHAT=(\w+) +\S", outcome.stdout, re.MULTILINE)
     having = {path.stem for path in ROOT.glob("benchmarks/*.py") if "__main__" in path.read_text()}
-    assert {*listed} == having and len(listed) > 3
+    assert {*listed} == having and len(listed) > 1
     alone = make("measure")
     assert alone.stdout == outcome.stdout and "is not there" not in alone.stderr
 

@@ -105,7 +105,7 @@ from rodlib.paper.ledger import Ledger
 
 print(published.__file__)
 book = Ledger("test", M_max=0.9)
-for name in published.MATRICES:
+for name in published.PRINTED_MATRICES:
     book.record(name, published.matrix(name))
 print(len(published.claims()), {*book.table().verdict})
 

@@ -22,7 +22,7 @@ BUMP = np.sin(np.pi * np.minimum(np.arange(400) / 350, 1))[:, None] ** 2
 def few_frequencies():
     """What is tested does not depend on how many there are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workbench, "FREQUENCIES", 60)
+        patch.setattr(workbench, "DESIGN_FREQUENCIES", 60)
         yield
 
 

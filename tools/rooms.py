@@ -1,5 +1,7 @@
 """How much a reader has to take in: tokens of the code and of its tests, against pyproject.toml.
 
+And whether a name says of what it is: no constant's name may stand for three values in the code.
+
 Tokens are names, operators, numbers and strings; docstrings, comments and layout do not count.
 `make lint` compares with the upper limits. A limit is no target: plainness comes first.
 """
@@ -9,6 +11,7 @@ import io
 import sys
 import tokenize
 import tomllib
+from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -16,6 +19,7 @@ LAYOUT = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
     tokenize.ENCODING, tokenize.ENDMARKER,
 }  # fmt: skip
+MOST_VALUES = 2  # of one name, in different modules; with three nobody knows which one is meant
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -30,22 +34,36 @@ def tokens(text: str) -> int:
     return sum(t.type not in LAYOUT and t.start[0] not in docstrings for t in each)
 
 
-def counted(root: Path, folders: list[str]) -> int:
-    """Tokens of all modules in some folders."""
+def texts(root: Path, folders: list[str]) -> list[str]:
+    """All modules in some folders."""
     paths = [path for folder in folders for path in (root / folder).rglob("*.py")]
-    return sum(tokens(path.read_text(encoding="utf-8")) for path in paths)
+    return [path.read_text(encoding="utf-8") for path in paths]
+
+
+def ambiguous(modules: list[str]) -> list[str]:
+    """Names of constants that have more than two values, but for the registry of each package."""
+    values = defaultdict(set)
+    for text in modules:
+        for node in ast.parse(text).body:
+            match node:
+                case ast.Assign([ast.Name(name)], value) if name.isupper() and name != "MODULES":
+                    values[name].add(ast.dump(value))
+    return [name for name, each in values.items() if len(each) > MOST_VALUES]
 
 
 def main(root: Path = ROOT) -> bool:
-    """Print what has more tokens than its limit; return whether anything has."""
+    """Print what has more tokens or values than its limit; return whether anything has."""
     table = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
-    passed = False
-    for what, limit in table["tool"]["rooms"].items():
-        count = counted(root, limit["folders"])
+    limits = table["tool"]["rooms"]
+    passed = ambiguous(texts(root, limits["code"]["folders"]))
+    for name in passed:
+        print(f"{name} has more than two values in the code: let each name say of what it is")
+    for what, limit in limits.items():
+        count = sum(map(tokens, texts(root, limit["folders"])))
         if count > limit["most"]:
-            passed = True
+            passed.append(what)
             print(f"{what}: {count} tokens, at most {limit['most']} in pyproject.toml")
-    return passed
+    return bool(passed)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ unit of the last digit shown, the ledger stays as it is.
 import json
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -40,7 +41,7 @@ IN_WORDS, UNCHECKED = "in words", "cannot be checked"
 OTHER = "not the paper's parameters"
 VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
 DEVIATIONS = Path(__file__).with_name("deviations.md")
-WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
+SENTENCE_PREFIX = "words: "  # of a criterion that is a sentence with a place for the number
 KINDS = {
     "printed": "printed numbers",
     "derived": "invariants of the feedback gains, for 40 printed entries",
@@ -51,8 +52,8 @@ KINDS = {
     "taken over": "taken over; could hardly differ",
     "identity": "imposed or algebra; could hardly differ",
 }
-NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
-NEGLIGIBLE = f"below {NOISE:g}"
+LEAST_SHOWN = 1e-9  # what is smaller is rounding, and not the same on two machines
+BELOW_LEAST = f"below {LEAST_SHOWN:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
@@ -63,19 +64,27 @@ COLUMNS = [
 ]  # fmt: skip
 
 
-def rule(claim: Claim) -> tuple[str, float, float]:
-    """How a number is judged: ("<", 0.1, 0), or by a tolerance as in ("", 0.58, 0.01)."""
+class Rule(NamedTuple):
+    """How a number is judged: by its relation to a bound, or by its distance from a number."""
+
+    number: float
+    tolerance: float = 0.0
+    relation: str = ""  # to the number, a key of COMPARE; "": within the tolerance
+
+
+def rule(claim: Claim) -> Rule:
+    """By what the number of a claim is judged."""
     if not claim.criterion:
-        return "", published.value(claim.printed), published.half_unit(claim.printed)
+        return Rule(published.value(claim.printed), published.half_unit(claim.printed))
     if " +- " in claim.criterion:
-        return "", *map(float, claim.criterion.split(" +- "))
+        return Rule(*map(float, claim.criterion.split(" +- ")))
     relation, bound = claim.criterion.split()
-    return relation, float(bound), 0.0
+    return Rule(float(bound), relation=relation)
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     """A verdict, and the deviation from the printed number, or from a criterion missed."""
-    relation, number, tolerance = rule(claim)
+    number, tolerance, relation = rule(claim)
     deviation = computed - number
     if relation:
         return (REPRODUCED, 0.0) if COMPARE[relation](deviation, 0) else (DIFFERS, deviation)
@@ -88,24 +97,24 @@ def judged(claim: Claim, computed: float) -> dict[str, str]:
     if claim.criterion == UNCHECKED:
         return {"verdict": UNCHECKED}
     value = float(computed)
-    if claim.criterion.startswith(WORDS):
-        sentence = claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
+    if claim.criterion.startswith(SENTENCE_PREFIX):
+        sentence = claim.criterion.removeprefix(SENTENCE_PREFIX).format(f"{value:.3g}")
         return {"computed": sentence, "verdict": IN_WORDS}
     text = shown(claim, value)
-    outcome, deviation = verdict(claim, value if text == NEGLIGIBLE else float(text))
-    *_, tolerance = rule(claim)
+    outcome, deviation = verdict(claim, value if text == BELOW_LEAST else float(text))
+    tolerance = rule(claim).tolerance
     return {
         "computed": text,
         "tolerance": f"± {tolerance:.2g}" if tolerance else claim.criterion,
-        "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
+        "deviation": f"{deviation:.1e}" if abs(deviation) > LEAST_SHOWN else "",
         "verdict": outcome,
     }
 
 
 def shown(claim: Claim, value: float) -> str:
     """A computed number with as many digits as are printed."""
-    if 0 < abs(value) <= NOISE:
-        return NEGLIGIBLE
+    if 0 < abs(value) <= LEAST_SHOWN:
+        return BELOW_LEAST
     places = published.decimals(claim.printed)
     return f"{value:z.{SIGNIFICANT}g}" if places is None else f"{value:z.{places}f}"
 
@@ -131,7 +140,7 @@ class Ledger:
         A matrix has the shape that :func:`rodlib.paper.published.matrix` gives it; None stands for
         what cannot be checked.
         """
-        if key in published.MATRICES:
+        if key in published.PRINTED_MATRICES:
             for entry, name in np.ndenumerate(published.keys(key)):
                 if name:
                     self.record(name, computed[entry])

@@ -18,7 +18,7 @@ from rodlib.paper.repository import ROOT
 
 INSTALLED = Path(__file__).with_name("printed")
 FOLDER = INSTALLED if INSTALLED.is_dir() else ROOT / "data" / "published"
-MATRICES = ("K_s", "K_L", "N", "L_diagonal", "L_full")
+PRINTED_MATRICES = ("K_s", "K_L", "N", "L_diagonal", "L_full")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def _table(name):
 
 
 def matrix(name: str) -> np.ndarray:
-    """A printed matrix, one of `MATRICES`, filters with the shape of their coefficients."""
+    """A printed matrix, one of `PRINTED_MATRICES`, filters with the shape of their coefficients."""
     return _arranged(name, _table(name).map(value).to_numpy())
 
 
@@ -90,7 +90,7 @@ def claims() -> dict[str, Claim]:
     """
     expanded = []
     for claim in (Claim(*row) for row in _table("claims").itertuples()):
-        expanded.extend(_entries(claim) if claim.key in MATRICES else [claim])
+        expanded.extend(_entries(claim) if claim.key in PRINTED_MATRICES else [claim])
     return {claim.key: claim for claim in expanded}
 
 

@@ -3,7 +3,14 @@
 import control
 import numpy as np
 
-from ilctools import current_trial_loop, frequency_response
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    frequency_response,
+    zero_phase_butterworth,
+)
 from ilctools.models import impulse_response
 
 PUMPS = ["pump A", "pump B", "pump C"]
@@ -203,3 +210,31 @@ class RestartingModel(ModelRig):
 
     def begin(self, trial):
         self.x = np.zeros(self.model.nstates)
+
+
+class Axis:
+    """Follows slowly; with whatever else a rig may have."""
+
+    def __init__(self, **more):
+        self.x = 0.0  # mm
+        vars(self).update(more)
+
+    def read(self):
+        return [self.x]
+
+    def apply(self, w):
+        self.x += 0.2 * (w[0] - self.x)
+
+
+class HomedAxis(Axis):
+    """The same, every trial from zero."""
+
+    def begin(self, trial):
+        self.x = 0.0
+
+
+TASK = {  # of an axis, as `record` takes it
+    "loop": ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"}),
+    "law": Law(zero_phase_butterworth(2, 60.0, 0.01), LearningFilter([[[0.5]]], 0.01)),
+    "reference": bump(200, [1.0]),
+}

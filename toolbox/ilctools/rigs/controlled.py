@@ -1,7 +1,5 @@
 """A rig under its controller, sample by sample: read, check, command, limit, observe, apply."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ilctools import arguments
@@ -17,13 +15,6 @@ STANDSTILL = 0.1  # of a trial, for which outputs that are back must stand still
 LONGEST_PAUSE = 2.0  # trials, that is waited for this
 
 
-class Reading(NamedTuple):
-    """What a rig gave in a sample, checked."""
-
-    y: np.ndarray
-    measured: dict[str, float]  # what else, by name
-
-
 class ControlledRig:
     """A rig that runs: what is known of it, what changes, and the signals that interrupt it."""
 
@@ -33,7 +24,7 @@ class ControlledRig:
         self.controller = self.new_controller()
         self.due: float | None = None  # when the next sample is, by the clock; None: when it comes
         self.late: list[float] = []  # by how much each sample of a trial is not on time, s
-        self.restless = ""  # what the last pause warns of
+        self.pause_warning = ""  # of the last pause
         self.place = ""  # trial and sample, as errors say it
 
     def new_controller(self) -> Controller | None:
@@ -94,9 +85,8 @@ class ControlledRig:
     def sample(self, w, flows) -> Part:
         """Let one sampling period pass; its signals but v and the reference."""
         about, controller = self.about, self.controller
-        reading = self.interrupts.call(self.read)
-        self.check_stop(about.signals.outputs, reading.y)
-        signals = {"y": reading.y}
+        signals = self.interrupts.call(self.read, flows)
+        self.check_stop(about.outputs, signals["y"])
         if controller:
             signals["delta"] = about.rounded("delta", controller.delta)
             signals["u"] = applied = controller.command(w)  # (18)
@@ -106,21 +96,27 @@ class ControlledRig:
         if about.actuators:
             applied = about.actuators.follow(applied)
         if controller:
-            controller.observe(reading.y, applied)  # (16)
+            controller.observe(signals["y"], applied)  # (16)
             if about.actuators:
                 signals["applied"] = applied
         self.apply(applied, flows)
-        return signals | self.known(reading, flows)
+        return signals
 
-    def read(self) -> Reading:
-        """The outputs, and what else is measured; nothing is used before it is checked."""
-        signals, driver = self.about.signals, self.about.driver
-        y, measured = driver.read(), driver.measured if signals.measured_as else {}
-        values = {
-            name: self.about.rounded(signal, float(self.reading(name, measured.get(name), ())))
-            for name, signal in signals.measured_as.items()
+    def read(self, flows) -> Part:
+        """y, u if the controller is the rig's, and the known disturbances: all of it is checked."""
+        names, driver = self.about.signals, self.about.driver
+        y, measured = driver.read(), driver.measured if names.measured_as else {}
+        part = {
+            "y": self.reading(f"reading of {', '.join(names.outputs)}", y, (len(names.outputs),))
         }
-        return Reading(self.reading(signals.of_outputs, y, (len(signals.outputs),)), values)
+        known = dict(zip(names.commanded, flows, strict=True))
+        for name, signal in names.measured_as.items():
+            value = float(self.reading(name, measured.get(name), ()))
+            known[name] = self.about.rounded(signal, value)
+        for signal, listed in (("u", names.controls), ("disturbance", names.disturbances)):
+            if listed:
+                part[signal] = np.array([known[name] for name in listed])
+        return part
 
     def reading(self, name: str, values, shape: tuple) -> np.ndarray:
         """What the driver gave, as an array; a RigError that says when, if it is none.
@@ -151,17 +147,6 @@ class ControlledRig:
         inputs = np.zeros(len(self.about.signals.inputs))
         inputs[self.about.signals.places] = np.concatenate([applied, flows])
         self.interrupts.call(self.about.driver.apply, inputs)
-
-    def known(self, reading: Reading, flows) -> Part:
-        """What a rig with its own controller says of u, and the disturbances that are known."""
-        names = self.about.signals
-        values = reading.measured | dict(zip(names.commanded, flows, strict=True))
-        signals = {"u": names.controls, "disturbance": names.disturbances}
-        return {
-            signal: np.array([values[name] for name in listed])
-            for signal, listed in signals.items()
-            if listed
-        }
 
     def make_safe(self) -> None:
         """Leave the rig in a safe state; an error there says so."""

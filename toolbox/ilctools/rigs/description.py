@@ -16,7 +16,7 @@ from ilctools.rigs.limits import stop_limits
 from ilctools.rigs.protocol import Rig
 from ilctools.trials.learn import disturbances_of
 
-ROUNDED_SIGNALS = ("v", "u", "delta", "disturbance")  # the signals that `decimals` can be about
+ROUNDED_SIGNALS = ["v", "u", "delta", "disturbance"]  # the signals that `decimals` can be about
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,12 @@ class RigSignals:
     disturbances: list[str]  # of the loop, which are known: those commanded, and those measured
 
     @cached_property
-    def of_outputs(self) -> str:
-        """What errors call the numbers that `read` returns; once, not in every sample."""
-        return f"reading of {', '.join(self.outputs)}"
-
-    @cached_property
     def measured_as(self) -> dict[str, str]:
         """What the rig measures beside y, and as which signal it is recorded."""
-        not_commanded = [name for name in self.disturbances if name not in self.commanded]
-        return dict.fromkeys(not_commanded, "disturbance") | dict.fromkeys(self.controls, "u")
+        signals = dict.fromkeys(self.disturbances, "disturbance") | dict.fromkeys(
+            self.controls, "u"
+        )
+        return {name: signal for name, signal in signals.items() if name not in self.commanded}
 
     @cached_property
     def places(self) -> list[int]:
@@ -71,7 +68,7 @@ class RigDescription:
     @property
     def outputs(self) -> list[str]:
         """Names of y."""
-        return self.signals.outputs
+        return self.loop.outputs
 
     @property
     def controller_is_ours(self) -> bool:
@@ -120,9 +117,6 @@ def described(
     if isinstance(arguments.instance("rig", rig, Rig), type):
         raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
     signals = _signals(rig, loop)
-    decimals = arguments.by_name("decimals", decimals, list(ROUNDED_SIGNALS))
-    for signal, number in decimals.items():
-        arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
     limits = named_limits("rig.limits", getattr(rig, "limits", None), signals.inputs)
     limits = {name: limits[name] for name in signals.commands if name in limits}
     law = law and law.on_rig(limits)
@@ -133,7 +127,7 @@ def described(
         loop=loop,
         signals=signals,
         Ts=arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts)),
-        decimals=decimals,
+        decimals=_checked_decimals(decimals),
         limits=limits,
         law=law,
         actuators=law and law.actuators,
@@ -144,6 +138,15 @@ def described(
         samples=samples,
         goes_on=goes_on,
     )
+
+
+def _checked_decimals(decimals):
+    """Decimals by the signal that is rounded to them."""
+    asked = arguments.by_name("decimals", decimals, ROUNDED_SIGNALS)
+    return {
+        signal: arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
+        for signal, number in asked.items()
+    }
 
 
 def _signals(driver, loop):

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from contextlib import suppress
 
 # a closed terminal, but on Windows; kill, a service's stop; Ctrl-C
-ENDING = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
-USUAL = (signal.SIG_DFL, signal.default_int_handler)
+ENDING_SIGNALS = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
+USUAL_HANDLERS = (signal.SIG_DFL, signal.default_int_handler)
 SAFE_TIME = 10.0  # s, that safe() of a rig may take before a signal ends it
-WAIT = b"\nsignal noted, wait: the rig is being left safe\n"
+WAIT_NOTICE = b"\nsignal noted, wait: the rig is being left safe\n"
 
 
 class Interrupts:
@@ -36,9 +36,9 @@ class Interrupts:
         atexit.register(self.end_thread)
         # only the main thread can set handlers, and only of the main interpreter
         with suppress(ValueError):
-            for number in ENDING:
+            for number in ENDING_SIGNALS:
                 handler = signal.getsignal(number)
-                if handler in USUAL or (number == signal.SIGINT and callable(handler)):
+                if handler in USUAL_HANDLERS or (number == signal.SIGINT and callable(handler)):
                     signal.signal(number, self.note)
                     self.handlers[number] = handler  # once it is replaced, and must come back
 
@@ -48,7 +48,7 @@ class Interrupts:
         if time.monotonic() > self.until:
             raise KeyboardInterrupt
         with suppress(OSError):  # of a closed terminal; `print` is not reentrant
-            os.write(2, WAIT)
+            os.write(2, WAIT_NOTICE)
 
     def call(self, method: Callable, *arguments):
         """What a method of the driver returns."""

@@ -1,5 +1,6 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from ilctools.signals import dataset
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
 
-NOTED = (*LAW_KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
+COMPARED_NOTES = (*LAW_KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 
 
 @dataclass
@@ -46,15 +47,17 @@ class Experiment:
         if path is None:
             return self.go_on(Past(self.notes), None)
         path = log_path(path)
-        with without_others(path) as denied:
-            past = self.past_in(path)
-            missing = len(self.reference) - len(past.trials)
-            if denied and missing > 0:
-                raise PermissionError(
-                    f"path = '{path}' cannot be written to, but {missing} of "
-                    f"{len(self.reference)} trials are not in it: give another path ({denied})"
-                )
-            return self.go_on(past, path)
+        past = self.past_in(path)
+        missing = len(self.reference) - len(past.trials)
+        if missing <= 0:
+            return past.log  # which may be where nothing can be written
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(
+                f"path = '{path}' cannot be written to, but {missing} of {len(self.reference)} "
+                "trials are not in it: give another path"
+            )
+        with without_others(path):  # who may have added trials until now
+            return self.go_on(self.past_in(path), path)
 
     def past_in(self, path: Path) -> Past:
         """The trials of the log at `path`, if there is one; those of another are refused."""
@@ -71,7 +74,7 @@ class Experiment:
         same = {
             "reference": np.array_equal(log.reference[: len(asked)], asked),
             "v of trial 1": np.array_equal(log.v[0], self.v_after([])),
-            **{key: log.attrs.get(key) == self.notes.get(key) for key in NOTED},
+            **{key: log.attrs.get(key) == self.notes.get(key) for key in COMPARED_NOTES},
             "disturbances": sources == self.about.signals.disturbances,
             "numbers": log.trial.values[-1] == len(log.trial),
         }
@@ -112,7 +115,7 @@ class Experiment:
 
     def add_trials(self, rig: ControlledRig, past: Past, file: TrialLog) -> None:
         """Run the trials that are missing; save each, and warn of what it shows."""
-        ended, count, said = len(past.trials), len(self.reference), set()
+        ended, count, kinds_warned_of = len(past.trials), len(self.reference), set()
         with progress(total=self.reference[ended:, :, 0].size) as bar:
             if self.about.goes_on:
                 rig.begin(ended + 1)
@@ -124,7 +127,7 @@ class Experiment:
                 if not self.about.goes_on:
                     file.finish()
                 shown = warnings_of(self.about, past.log, past.trials, rig.late)
-                warn_once({"pause": rig.restless} | shown, said)
+                warn_once({"pause": rig.pause_warning} | shown, kinds_warned_of)
             file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
@@ -136,7 +139,7 @@ class Experiment:
                 rig.begin(number)
                 if past:
                     start = start_of(self.about, past[0])
-                    rig.restless = rig.pause(number, self.pause, reference[0], start)
+                    rig.pause_warning = rig.pause(number, self.pause, reference[0], start)
             return rig.drive(number, w, self.flows[number - 1, now], bar, now.start)
 
         loop = self.about.loop

@@ -1,9 +1,7 @@
 """The file of an experiment: its log, to which each trial is added when it ends."""
 
-import errno
-from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import xarray as xr
@@ -12,8 +10,6 @@ from ilctools import arguments
 from ilctools.files import alone, append, regular
 from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
 from ilctools.trials.learn import Part
-
-DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)  # of a file or a folder that is read only
 
 
 def log_path(path) -> Path:
@@ -25,22 +21,10 @@ def log_path(path) -> Path:
     return path
 
 
-@contextmanager
-def without_others(path: Path) -> Iterator[OSError | None]:
-    """Keep other processes from the log at `path`; yields what denies that, if nothing is written.
-
-    Where nothing can be written, a log that has all trials can still be read.
-    """
-    denied, lock = None, path.with_name(f".{path.name}.lock")
+def without_others(path: Path) -> AbstractContextManager:
+    """Keep other processes from the log at `path`."""
     busy = f"path = '{path}' is recorded to by another process: wait, or give another"
-    with ExitStack() as locks:
-        try:
-            locks.enter_context(alone(lock, busy))
-        except OSError as error:
-            if error.errno not in DENIED:
-                raise
-            denied = error
-        yield denied
+    return alone(path.with_name(f".{path.name}.lock"), busy)
 
 
 class TrialLog:

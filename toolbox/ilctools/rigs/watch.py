@@ -16,12 +16,12 @@ LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
 EACH_TRIAL = {"pause", "clock", "rig"}  # of these kinds each trial is warned of, of others one
 
 
-def warn_once(texts: dict[str, str], said: set[str]) -> None:
-    """Warn of these kinds, where a text is not empty; of most kinds only if they are not `said`."""
+def warn_once(texts: dict[str, str], kinds_warned_of: set[str]) -> None:
+    """Warn of each kind whose text is not empty, but of most kinds once: it notes which."""
     for kind, text in texts.items():
-        if text and kind not in said:
+        if text and kind not in kinds_warned_of:
             warn(text)
-            said |= {kind} - EACH_TRIAL
+            kinds_warned_of |= {kind} - EACH_TRIAL
 
 
 def start_of(about: RigDescription, first: Part) -> Start:

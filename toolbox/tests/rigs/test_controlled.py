@@ -1,10 +1,14 @@
 """One sample of a rig, step by step: read, check, command, limit, observe, apply, record."""
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
-from plants import LOOPS, bump
+from plants import LOOPS, TASK, Axis, bump
 
-from ilctools import ClosedLoop, Law, zero_phase_butterworth
+from ilctools import ClosedLoop, Law, LearningFilter, record, zero_phase_butterworth
+from ilctools.errors import RigError
 from ilctools.loop.closed import controller
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.description import described
@@ -73,3 +77,42 @@ def test_samples_are_due_from_the_first_one_of_a_trial_on(times, late):
     running.drive(1, np.zeros((4, 1)), np.zeros((4, 0)), Bar)
     np.testing.assert_allclose(running.late, late, atol=1e-12)
     assert running.place == "trial 1, sample 4"
+
+
+def test_a_reading_of_one_output_may_be_a_number_and_of_several_may_not():
+    """As `law.next` takes signals of one channel without an axis for it, but not of several."""
+    law, plain, listed = TASK["law"], Axis(), record(Axis(), **TASK, trials=3)
+    for number in (float, np.float64, lambda x: np.array([x])[0], np.array):
+        plain.x, plain.read = 0.0, lambda number=number: number(plain.x)
+        assert record(plain, **TASK, trials=3).identical(listed)
+    v, e = (listed[name].values[0] for name in ("v", "e"))
+    assert np.array_equal(law.next(v[:, 0], e[:, 0]), law.next(v, e)[:, 0])
+    two = ClosedLoop(Ts=0.01, outputs=["x", "y"])
+    law = Law(law.Q, LearningFilter(0.5 * np.eye(2)[..., None], 0.01))
+    with pytest.raises(RigError, match=r"reading of x, y has shape \(\), but must have shape \(2,"):
+        record(plain, two, law, np.ones((200, 2)))
+    with pytest.raises(ValueError, match=r"v has shape \(200,\), but must have shape"):
+        law.next(v[:, 0], e[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("method", "bad", "name"),
+    [
+        *(("read", bad, "reading of x") for bad in ([np.nan], np.nan, [0.0, 0.0], None, "0.0")),
+        ("clock", np.nan, "clock"),
+        ("wind", np.nan, "wind"),
+        ("wind", None, "wind"),
+    ],
+)
+def test_an_error_of_a_reading_says_in_which_trial_and_sample(method, bad, name):
+    """In its text, which a log of a service has without notes."""
+    good = {"read": [[0.0]] * 206, "clock": np.arange(206) * 0.01, "wind": [0.0] * 207}
+    given = {"wind": lambda: 0.0, method: partial(next, iter(good[method]), bad)}
+
+    class Windy(Axis):
+        measured = property(lambda axis: {"wind": axis.wind()})  # one more, to see if it is there
+
+    loop = replace(TASK["loop"], disturbances=["wind"])
+    with pytest.raises(RigError) as error:
+        record(Windy(**given), **TASK | {"loop": loop}, pause=0)
+    assert str(error.value).startswith(f"trial 2, sample 7: {name} ")
