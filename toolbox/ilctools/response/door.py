@@ -35,6 +35,13 @@ class Accuracy(NamedTuple):
     low: Samples | None = None
 
 
+class References(NamedTuple):
+    """What references do beside v; fields of :class:`.Response`."""
+
+    added: bool
+    of_reference: control.StateSpace | None = None
+
+
 def response_of(
     P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None, like: Response | None = None
 ) -> Response:
@@ -53,13 +60,10 @@ def response_of(
     check_match(**signals, Q=Q, grid=Signals(Ts))
     _refuse_other_units(P, omega, responses[0], Ts)
     nominal, *_ = signals.values()
-    if like and responses.shape[2:] != like.scale.of_P.shape:
-        (p, m), (outputs, inputs) = responses.shape[2:], like.scale.of_P.shape
-        raise ValueError(f"P has {p} outputs and {m} inputs, but the design {outputs} and {inputs}")
-    units = like.scale if like else scale_of(scale, *_names(nominal, *responses.shape[-2:]))
+    units = _units(like, scale, nominal, *responses.shape[2:])
     models, responses = _in_units(units, models, responses)
     directions = like.directions if like else Directions.passed_by(responses)
-    added, of_reference = _references(getattr(P, "loop", next(iter(plants.values()))), units)
+    first = next(iter(plants.values()))
     response = Response(
         omega,
         responses,
@@ -68,11 +72,20 @@ def response_of(
         scale=units,
         signals=nominal,
         one_at_first=_is_one(getattr(P, "loop", None), omega[:1]),
-        added=added,
-        of_reference=of_reference,
+        **_references(getattr(P, "loop", first), units)._asdict(),
         **_accuracy(P, responses[0], omega, uncertainty, units)._asdict(),
     )
     return response if directions is None else _along(response, directions)
+
+
+def _units(like, scale, signals, p, m) -> Scale:
+    """What counts as equally large, as for the response that it is like, or as stated."""
+    if like is None:
+        return scale_of(scale, *_names(signals, p, m))
+    outputs, inputs = like.scale.of_P.shape
+    if (p, m) != (outputs, inputs):
+        raise ValueError(f"P has {p} outputs and {m} inputs, but the design {outputs} and {inputs}")
+    return like.scale
 
 
 def _refuse_no_filter(Q):
@@ -127,18 +140,18 @@ def _unless_zero(radius):
     return radius if radius.any() else None
 
 
-def _references(plant, scale):
+def _references(plant, scale) -> References:
     """Whether v is added to references one for one; else what a loop makes of them, if it says so.
 
     A model that is not square is taken to have no references of its own.
     """
     if not isinstance(plant, Loop):
-        return len(scale.y) == len(scale.v), None
+        return References(len(scale.y) == len(scale.v))
     if plant.one_for_one or plant.P_r is None:
-        return plant.one_for_one, None
+        return References(plant.one_for_one)
     R, S = np.diag(1 / scale.y), np.diag(scale.y)
     P = plant.P_r
-    return False, control.ss(P.A, P.B @ S, R @ P.C, R @ P.D @ S, P.dt)
+    return References(False, control.ss(P.A, P.B @ S, R @ P.C, R @ P.D @ S, P.dt))
 
 
 def _is_one(loop, omega):
