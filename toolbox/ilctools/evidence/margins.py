@@ -151,10 +151,9 @@ class Perturbed:
             own = subdivided(response.omega, PARTS)
         else:
             own = phase_grid([model.poles()], PHASE_STEP) / response.Ts
-        # with a radius, on both sides of where it begins and ends
-        self.omega = np.unique(
-            [*own, np.nextafter(first, 0), first, last, np.nextafter(last, np.inf)]
-        )
+        # where a radius begins and ends, and where what is assumed above a table begins
+        ends = first, last, np.nextafter(last, np.inf)
+        self.omega = np.union1d(own, ends)
 
     def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
         """Of sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""

@@ -48,8 +48,7 @@ def pose(
     bounds = Bounds(M_max, _L_max(L_max, gain, pooled, chosen), L_high, everywhere)
     B = None
     if base is not None:
-        B, text = _base(response, lowpass, structure, base, bounds.L_max or gain, reach)
-        chosen.append(text)
+        B = _base(response, lowpass, structure, base, bounds.L_max or gain, reach, chosen)
     return Problem(
         response,
         lowpass,
@@ -94,8 +93,8 @@ def checked_M_max(M_max) -> float:
     return arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
 
 
-def _base(response, lowpass, structure, share, L_max, reach):
-    """B of L = B K, and what to say of it; b is 1 / (2 L_max), or a share of sigma_max(P).
+def _base(response, lowpass, structure, share, L_max, reach, chosen):
+    """B of L = B K; b is 1 / (2 L_max), or a share of sigma_max(P).
 
     That is up to Q's cut-off. In the first case B is of all plants, and keeps L_max by itself:
     K = 1 will do.
@@ -122,7 +121,8 @@ def _base(response, lowpass, structure, share, L_max, reach):
         kind = f"a finite filter of {-base.first} samples each way"
     of = "all plants" if len(models) > 1 else "the plant"
     product = "B K" if response.P.shape[-1] >= response.P.shape[-2] else "K B"
-    return base, f"L = {product}, B of {of} with b = {b:.3g}, {why}, {kind}"
+    chosen.append(f"L = {product}, B of {of} with b = {b:.3g}, {why}, {kind}")
+    return base
 
 
 def _order(response, cutoff, order, base, chosen):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from plants import copies, lags, random_stable
 
 from ilctools import measured_response, read_table, synthesise, zero_phase_butterworth
-from ilctools.evidence.peak import BELOW, PEAK_TOLERANCE, peak_of_M, proven_peak
+from ilctools.evidence.peak import BELOW, PEAK_TOLERANCE, peak_of_M, proven_peak, with_tops
 from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units
 from ilctools.singular_values import largest_singular_values
@@ -93,6 +93,17 @@ def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
             [P], [radius] = known.anywhere(0, np.zeros(1))
             assert np.linalg.norm(P - truth, 2) <= radius < 0.5
             assert not P.imag.any()
+
+
+def test_the_tops_of_crests_are_those_of_parabolas():
+    omega = np.array([0.0, 0.7, 1.4, 2.0])
+
+    def parabola(omega):
+        return 1.01 - 0.05 * (omega - 1) ** 2
+
+    at, values = with_tops(parabola, omega)
+    assert at[-1] == pytest.approx(1) and values.max() == values[-1] == pytest.approx(1.01)
+    assert len(with_tops(parabola, omega, height=1.02)[0]) == 4
 
 
 def peak_gain(system, lowpass=None):

@@ -35,6 +35,7 @@ def test_of_tables_that_end_early():
     between, above = tables.peaks["estimated"], tables.peaks["assumed"]
     below = tables.peaks["assumed below the first sample"]
     moves = max(samples.moves for samples in tables.problem.response.samples)
+    assert f"{design}".endswith("\nassumptions: .certificate.details")
     assert f"{design}".startswith(f"rate at most {design.rate:.4f} for each of 3 plants, at all")
     expected = f"""\
 0.99       M_max
