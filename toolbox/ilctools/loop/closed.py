@@ -35,17 +35,49 @@ class Loop(Protocol):
     (..., time, channel), in the order of the names and in their units.
     """
 
-    Ts: float  # sampling period, s
-    outputs: list[str]  # names of the p outputs y, and of the references r
-    inputs: list[str]  # names of the inputs w
-    learned: list[str]  # names of the m inputs that v is added to
-    one_for_one: bool  # whether v is added to the references, one for each output in their order
-    commands: list[str]  # names of what is sent to the rig, or of the inputs w of its controller
-    controls: list[str]  # names of further commands that the rig reports; [] for none
-    disturbances: list[str]  # names of the d inputs of the plant that the loop does not know
-    units: dict[str, str]  # of all of these signals by name, "" where not known
-    P_v: control.StateSpace | None  # the stable model from v to y; None if it is not known
-    P_r: control.StateSpace | None  # that from r to y
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+
+    @property
+    def outputs(self) -> Sequence[str]:
+        """Names of the p outputs y, and of the references r."""
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs w."""
+
+    @property
+    def learned(self) -> Sequence[str]:
+        """Names of the m inputs that v is added to."""
+
+    @property
+    def one_for_one(self) -> bool:
+        """Whether v is added to the references, one for each output in their order."""
+
+    @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the rig, or of the inputs w of its controller."""
+
+    @property
+    def controls(self) -> Sequence[str]:
+        """Names of further commands that the rig reports; [] for none."""
+
+    @property
+    def disturbances(self) -> Sequence[str]:
+        """Names of the d inputs of the plant that the loop does not know."""
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of all of these signals by name, "" where not known."""
+
+    @property
+    def P_v(self) -> control.StateSpace | None:
+        """The stable model from v to y; None if it is not known."""
+
+    @property
+    def P_r(self) -> control.StateSpace | None:
+        """That from r to y."""
 
     def feedback(self) -> Feedback:
         """How commands follow from v and the states of P_v, of a loop that has it."""

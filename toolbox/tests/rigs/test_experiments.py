@@ -158,7 +158,7 @@ def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial
 def test_a_measurement_beyond_limits_is_warned_of(case):
     rig, loop, *_ = experiment(*case)
     excitation = multisine(loop, 0.1 / loop.Ts, 1.0 / loop.Ts, 1.0, 0.4 * loop.Ts, lines=8)
-    largest = np.abs(loop.asked(shake(rig, loop, excitation)).values).max()
+    largest = np.abs(np.asarray(loop.asked(shake(rig, loop, excitation)))).max()
     for share in (1.01, 0.7):
         rig.limit = share * largest
         rig.limits = dict.fromkeys(loop.commands, (-rig.limit, rig.limit))
