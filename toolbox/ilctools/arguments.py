@@ -255,15 +255,6 @@ def representable(name: str, values, remedy: str) -> None:
         )
 
 
-def square(name: str, inputs: int, outputs: int) -> None:
-    """Refuse a response with more inputs than outputs, or fewer."""
-    if inputs != outputs:
-        raise ValueError(
-            f"{name} has {inputs} inputs and {outputs} outputs, but must have as many: leave "
-            "inputs out; of more outputs, learn on combinations, (G' G)^-1 G' y with G = P(1)"
-        )
-
-
 def row(name: str, value, dtype: type = float) -> np.ndarray:
     """One or more numbers in a row; a number by itself is a row of one."""
     return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)

@@ -159,7 +159,9 @@ REFUSED = {  # what the error says, and a call
     r"scale = .* must be a dict by the names of outputs": lambda: synthesise(
         axes()[:, 0], OF_AXES.Q, scale=[1.0, 2.0]
     ),
-    r"controls = \['set x'\] .*2 outputs.* combinations": lambda: current_trial_loop(axes()[:, 0]),
+    r"controls = \['set x'\] .*2 outputs.* learn from all": lambda: current_trial_loop(
+        axes()[:, 0]
+    ),
     # a loop that is not ours
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
     "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),

@@ -97,7 +97,7 @@ def _checked(plant, controls):
         raise ValueError(
             f"controls = {[*controls]} are {len(controls)} inputs for {m} outputs: name one for "
             f"each of {plant.output_labels} among {names}; the others are disturbances. With "
-            "more outputs, close the loop on some of them, and learn on combinations"
+            "more outputs, close the loop on some of them, and learn from all by a ClosedLoop"
         )
     if not plant.nstates:
         raise ValueError("plant has no states: (12) needs at least one")
