@@ -27,6 +27,7 @@ to trial only.
 
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -157,21 +158,34 @@ class Perturbed:
 
     def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
         """Of sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""
-        low, high = _ends(self.response)
-        first, *_, nyquist = self.filters.omega
+        grid, known = self._as_it_is if slower == 1 else self._slower(slower)
 
         def sigma_M(omega):
-            there = np.clip(slower * omega, low, nyquist)
-            P, of_P = self.response.anywhere(self.number, there)
+            P, of_P = known if omega is grid else self._at(slower * omega)
             P = gain * np.exp(-1j * omega * delay * self.response.Ts)[:, None, None] * P
             Q, L = self.filters.Q(omega), self.filters.L(omega)
             return within_radius(P, Q, L, gain * of_P + radius, LEVEL)
 
-        omega = np.union1d(self.filters.omega, self.omega / slower)
-        known = (slower * omega <= high) | (slower == 1)
-        omega = omega[(omega >= first) & (omega <= nyquist) & known]
-        _, sigma = with_tops(sigma_M, omega, LEVEL)
+        _, sigma = with_tops(sigma_M, grid, LEVEL)
         return float(sigma.max())
+
+    @cached_property
+    def _as_it_is(self):
+        """The grid of the plant at its own speed; most changes leave that as it is."""
+        return self._slower(1.0)
+
+    def _slower(self, slower):
+        """Frequencies at which P(a omega) is looked at, and P and its radius there."""
+        first, *_, nyquist = self.filters.omega
+        omega = np.union1d(self.filters.omega, self.omega / slower)
+        known = (slower * omega <= _ends(self.response)[1]) | (slower == 1)
+        omega = omega[(omega >= first) & (omega <= nyquist) & known]
+        return omega, self._at(slower * omega)
+
+    def _at(self, omega):
+        """P and its radius at any frequencies, at the ends of what is known beyond them."""
+        there = np.clip(omega, _ends(self.response)[0], self.filters.omega[-1])
+        return self.response.anywhere(self.number, there)
 
 
 def _ends(response):
