@@ -4,26 +4,14 @@ It is a :class:`ilctools.filters.LearningOperator`, as a :class:`ilctools.Learni
 goes where L goes.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
 
 from ilctools import arguments
-from ilctools.models import (
-    Model,
-    balanced,
-    dynamics_on_trial,
-    frequency_response,
-    on_trial,
-    sampled_plant,
-)
-
-# SuperLU counts in 32 bits, and asks for thirty times as much memory as its matrix has entries.
-MOST_ENTRIES = 2**31 // 30
-BYTES_OF_ENTRY = 50  # of matrix and factors, by measurement: 41 to 51 for 4 to 31 states
+from ilctools.models import Model, balanced, frequency_response, sampled_plant
+from ilctools.riccati import TrialLeastSquares
 
 
 @dataclass(frozen=True)
@@ -51,16 +39,10 @@ class NormOptimal:
 
     Notes
     -----
-    The inverse is never formed. With the states x of P in all samples, z = (x, change) and
-    multipliers l, the change minimises ||e - Y z||^2 + weight ||change||^2 subject to F z = 0, and
-
-        [ Y' Y + weight S' S   F' ] [ z ]   [ Y' e ]
-        [ F                    0  ] [ l ] = [ 0    ],    change = S z.
-
-    The matrix couples neighbouring samples alone. It is factored once, for any number of errors;
-    its memory grows with the samples and with the square of the number of states. Rounding moves
-    the change by 1e-16 times the condition of the normal equations,
-    (sigma_max(P)^2 + weight) / weight, at most.
+    The inverse is never formed. By the states of P, the change follows from a recursion backwards
+    in time and one forwards (:mod:`.riccati`). Their gains change near the end of the trial alone,
+    so that memory is little more than the signals. Rounding moves the change by 1e-16 times the
+    condition of the normal equations, (sigma_max(P)^2 + weight) / weight, at most.
 
     A transfer function whose modes are slow beside Ts and close to each other has coefficients that
     determine a trial to few digits (three modes of 3, 4 and 5 Hz at 1 kHz: to a tenth). Take its
@@ -88,23 +70,10 @@ class NormOptimal:
         weight = arguments.positive("weight", self.weight)
         samples = arguments.whole("samples", self.samples, 1)
         vars(self).update(P=P, weight=weight, samples=samples)
-        self._check_memory()
-
-    def _check_memory(self):
-        """Refuse a trial whose factors would not fit, before any work."""
-        of_one, of_two = (self._on_trial(samples)[1].nnz for samples in (1, 2))
-        of_sample = of_two - of_one
-        if self.samples * of_sample > MOST_ENTRIES:
-            size = self.samples * of_sample * BYTES_OF_ENTRY / 1e9
-            raise ValueError(
-                f"samples = {self.samples}: the factors of such a trial would take {size:.2g} GB, "
-                f"and fit for {MOST_ENTRIES // of_sample} samples at most: take a shorter trial, "
-                "or a filter of synthesise with base=None"
-            )
 
     def __getstate__(self):
         """All fields, but no factors: another process computes them faster than it reads them."""
-        return {part.name: getattr(self, part.name) for part in fields(self)}
+        return {name: value for name, value in vars(self).items() if name != "_factors"}
 
     @property
     def Ts(self) -> float:
@@ -123,56 +92,45 @@ class NormOptimal:
 
     @property
     def weight_of_change(self) -> float:
-        """It learns in the norm that it minimises."""
+        """That of the norm in which it learns: `weight`."""
         return self.weight
 
     def frequency_response(self, omega) -> np.ndarray:
         """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
         return regularised_inverse(frequency_response(self.P, omega), np.sqrt(self.weight))
 
-    def _on_trial(self, samples: int) -> tuple[sparse.csc_array, sparse.csc_array]:
-        """Y of a trial, and the symmetric matrix of its conditions of optimality."""
-        # in states of like size: one that is large by its unit rules no other
-        A, B, C = balanced(self.P)
-        n, m = B.shape
-        Y = on_trial(samples, C, self.P.D)
-        F = dynamics_on_trial(samples, A, B)
-        of_d = np.repeat([0.0, self.weight], [samples * n, samples * m])
-        cost = Y.T @ Y + sparse.diags_array(of_d)
-        return Y, sparse.block_array([[cost, F.T], [F, None]], format="csc")
+    @cached_property
+    def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B and C of P in states of like size: one that is large by its unit rules no other."""
+        return balanced(self.P)
 
     @cached_property
-    def _factored(self) -> tuple[sparse.csc_array, SuperLU]:
-        """Y, and the factors of the conditions, for any error."""
-        Y, conditions = self._on_trial(self.samples)
-        # one column at a time: wider panels take twice the memory and are no faster
-        return Y, splu(conditions, panel_size=1)
-
-    def _solved(self, right) -> np.ndarray:
-        """z of the conditions with a right-hand side beside z, each of shape (numbers, trials)."""
-        _, factors = self._factored
-        whole = np.zeros((factors.shape[0], right.shape[1]))
-        whole[: len(right)] = right
-        return factors.solve(whole)[: len(right)]
+    def _factors(self) -> TrialLeastSquares:
+        """Of the least squares on a trial, for any error."""
+        return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples)
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         shape = ..., self.samples, self.columns
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
-        Y, _ = self._factored
-        z = self._solved(Y.T @ signal.reshape(-1, Y.shape[0]).T)
-        change = z[self.samples * self.P.nstates :]
-        return change.T.reshape(*signal.shape[:-1], self.rows)
+        C, D = self._states[2], self.P.D
+        change = np.empty((*signal.shape[:-1], self.P.ninputs))
+        of_trials = change.reshape(-1, *change.shape[-2:])  # the same numbers
+        for part, _, d in self._factors.solved(signal.reshape(-1, *shape[1:]), C, D):
+            of_trials[:, part] = d
+        return change
 
     def apply_transposed(self, signal) -> np.ndarray:
         """The transpose of the matrix that :meth:`apply` is: P_N (P_N^T P_N + weight I)^-1."""
-        signal = arguments.array("signal", signal, (..., self.samples, self.rows))
-        Y, _ = self._factored
-        changes = signal.reshape(-1, self.samples * self.rows).T
-        right = np.zeros((Y.shape[1], changes.shape[1]))
-        right[self.samples * self.P.nstates :] = changes
-        output = Y @ self._solved(right)
-        return output.T.reshape(*signal.shape[:-1], self.columns)
+        shape = ..., self.samples, self.P.ninputs
+        signal = arguments.array("signal", signal, shape)
+        C, D = self._states[2], self.P.D
+        output = np.empty((*signal.shape[:-1], self.columns))
+        of_trials = output.reshape(-1, *output.shape[-2:])
+        to_x, to_d = np.zeros((len(D.T), C.shape[1])), np.eye(len(D.T))
+        for part, x, d in self._factors.solved(signal.reshape(-1, *shape[1:]), to_x, to_d):
+            of_trials[:, part] = x @ C.T + d @ D.T
+        return output
 
 
 def regularised_inverse(P, b) -> np.ndarray:

@@ -53,13 +53,6 @@ def test_it_is_the_matrix_of_the_normal_equations_and_its_transpose(name, share)
             assert_allclose(apply(signal).reshape(2, -1), expected, rtol=0, atol=4 * atol)
 
 
-def test_a_trial_whose_factors_would_not_fit_is_refused_before_any_work():
-    P = random_stable(0, n=8)
-    with pytest.raises(ValueError, match=r"^samples = 1000000: .* 14 GB, and fit for \d{6} sam.*"):
-        NormOptimal(P, 1.0, 10**6)
-    NormOptimal(P, 1.0, 10**5)
-
-
 @dataclass(frozen=True)
 class Priced(NormOptimal):
     """One with a field more, as a variant of it would have."""

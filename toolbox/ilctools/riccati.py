@@ -1,0 +1,156 @@
+"""Least squares on a trial of many samples, by the states of the plant: a Riccati recursion.
+
+Of all inputs d, we look for the one that minimises
+
+    sum over p of |y(p)|^2 + weight |d(p)|^2 - 2 f(p)' x(p) - 2 g(p)' d(p),                     (1)
+    x(p + 1) = A x(p) + B d(p),    y(p) = C x(p) + D d(p),    x(0) = 0,    p = 0, ..., N - 1.
+
+With f = C' e and g = D' e this is the change that fits an error e best. By dynamic programming, the
+least sum from sample p on is x' S(p) x - 2 s(p)' x and a constant, where S(N) = 0, s(N) = 0, and
+backwards in time
+
+    R(p) = weight I + D' D + B' S(p + 1) B,                                                     (2)
+    K(p) = R(p)^-1 (D' C + B' S(p + 1) A),                                                      (3)
+    S(p) = C' C + A' S(p + 1) A - K(p)' R(p) K(p),                                              (4)
+    s(p) = F(p)' s(p + 1) + f(p) - K(p)' g(p),    F(p) = A - B K(p).                            (5)
+
+Then, forwards in time,
+
+    d(p) = u(p) - K(p) x(p),    u(p) = R(p)^-1 (g(p) + B' s(p + 1)),                            (6)
+    x(p + 1) = F(p) x(p) + B u(p).                                                              (7)
+
+(2) to (4) do not depend on f and g. Some samples before the end of the trial K, R and S stop
+changing, so that one K serves all samples before: memory for a trial is little more than its
+signals. S is propagated as S = U' U (square-root form): the QR decomposition
+
+    [ sqrt(weight) I    0    ]
+    [       D           C    ]  =  orthogonal [ T   T K ]          with  R = T' T
+    [      U B         U A   ]                [ 0    U  ]
+
+gives T, T K and the next U without a difference of numbers that nearly cancel, as in (4).
+B. D. O. Anderson and J. B. Moore, Optimal filtering, Prentice-Hall, 1979, Section 6.5.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dgeqrf, dtbtrs
+
+# Relative change of S between one look and the next, which is half as far again from the end. S
+# grows ever more slowly: where its modes decay, by far less afterwards. Rounding moves it by 1e-14.
+STATIONARY_S = 1e-13
+FIRST_LOOK = 8  # samples from the end of the trial to the first look
+PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: it stays in the cache
+
+
+class Gains(NamedTuple):
+    """K, and T^-1 with R = T' T, of the last samples of a trial; the first serve all before."""
+
+    K: np.ndarray  # (count, m, n)
+    root: np.ndarray  # (count, m, m), T^-1
+
+
+def gains(A, B, C, D, weight: float, samples: int) -> Gains:
+    """K and T^-1 by (2) to (4), backwards from the end until S no longer changes."""
+    n, m = B.shape
+    above = np.block([[np.sqrt(weight) * np.eye(m), np.zeros((m, n))], [D, C]])
+    dynamics = np.hstack([B, A])
+    U, S, count, parts = np.zeros((n, n)), np.zeros((n, n)), 0, []
+    stationary = False
+    while count < samples and not stationary:
+        look = min(samples, max(FIRST_LOOK, count + count // 2))
+        rows, U = _backwards(above, dynamics, U, look - count)
+        parts.append(rows)
+        before, S, count = S, U.T @ U, look
+        size = np.sqrt(np.diag(S))
+        stationary = bool(np.all(np.abs(S - before) <= STATIONARY_S * np.outer(size, size)))
+    rows = np.concatenate(parts[::-1])
+    T, TK = np.triu(rows[..., :m]), rows[..., m:]
+    return Gains(np.linalg.solve(T, TK), np.linalg.inv(T))
+
+
+def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
+    """T and T K, side by side, of so many samples before that of U; and U of the first of them."""
+    n, width = dynamics.shape
+    m = width - n
+    matrix = np.empty((len(above) + n, width), order="F")  # what is decomposed, in its place
+    rows, upper = np.empty((count, m, width)), np.triu(np.ones((n, n)))
+    for row in rows[::-1]:
+        matrix[: len(above)] = above
+        matrix[len(above) :] = U @ dynamics
+        triangle, *_ = dgeqrf(matrix, overwrite_a=True)  # below its diagonal: the rotations
+        row[:] = triangle[:m]
+        U = triangle[m : m + n, m:] * upper
+    return rows, U
+
+
+class TrialLeastSquares:
+    """The minimum of (1) for trials of so many samples; factored once, for any f and g."""
+
+    def __init__(self, A, B, C, D, weight: float, samples: int):
+        self.A, self.B, self.samples = A, B, samples
+        self.gains = gains(A, B, C, D, weight, samples)
+        piece = max(1, PIECE // (2 * max(1, A.size)))
+        starts = range(0, samples, piece)
+        self.parts = [slice(start, min(start + piece, samples)) for start in starts]
+
+    def solved(self, signal, to_x, to_d) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """x and d, piece by piece of the trial, for f = to_x' signal and g = to_d' signal.
+
+        The signal has the shape (trials, samples, any); x and d of the samples of a slice have
+        (trials, so many, n or m).
+        """
+        u = self._forced(signal, to_x, to_d)
+        x = np.zeros((len(signal), len(self.A)))
+        for part in self.parts:
+            K, _, F = self._of(part)
+            forcing = u[:, part] @ self.B.T
+            right = np.concatenate([x[:, None], forcing[:, :-1]], axis=1)
+            states = _substituted(F, right, "N")  # (7)
+            changes = u[:, part] - _times(states, K.swapaxes(1, 2))  # (6)
+            x = states[:, -1] @ F[-1].T + forcing[:, -1]
+            yield part, states, changes
+
+    def _forced(self, signal, to_x, to_d) -> np.ndarray:
+        """u of (6), (trials, samples, m), for the f and g of :meth:`solved`."""
+        u = np.empty((len(signal), self.samples, self.B.shape[1]))
+        s = np.zeros((len(signal), len(self.A)))
+        for part in reversed(self.parts):
+            K, root, F = self._of(part)
+            f, g = signal[:, part] @ to_x, signal[:, part] @ to_d
+            right = f - _times(g, K)
+            right[:, -1] += s @ F[-1]
+            now = _substituted(F, right, "T")  # (5)
+            after = np.concatenate([now[:, 1:], s[:, None]], axis=1)
+            u[:, part] = _times(_times(g + after @ self.B, root), root.swapaxes(1, 2))
+            s = now[:, 0]
+        return u
+
+    def _of(self, part):
+        """K, T^-1 and F of each sample of a piece."""
+        before = self.samples - len(self.gains.K)  # samples at which the first gains hold
+        number = np.maximum(np.arange(part.start, part.stop) - before, 0)
+        K, root = (each[number] for each in self.gains)
+        return K, root, self.A - self.B @ K
+
+
+def _substituted(F, right, trans) -> np.ndarray:
+    """x(p) of x(p + 1) - F(p) x(p) = right(p + 1), or of its transpose, (trials, samples, n).
+
+    By the lower triangular matrix of the whole piece, with ones on its diagonal.
+    """
+    if not right.size:
+        return right
+    count, n, _ = F.shape
+    i, j = np.indices((n, n))
+    diagonals = np.zeros((count, n, 2 * n))  # in LAPACK's layout of a band
+    diagonals[:, j, n + i - j] = -F
+    columns = right.reshape(len(right), -1).T
+    solved, _ = dtbtrs(diagonals.reshape(count * n, -1).T, columns, uplo="L", trans=trans, diag="U")
+    return solved.T.reshape(right.shape)
+
+
+def _times(signal, matrices) -> np.ndarray:
+    """signal(p)' M(p), for signals (trials, samples, k)."""
+    return np.einsum("tpk,pkl->tpl", signal, matrices)
