@@ -16,6 +16,7 @@ import control
 import numpy as np
 from scipy import signal, sparse
 from scipy.linalg import matrix_balance, null_space, schur
+from scipy.linalg.blas import dgemv
 
 from ilctools import arguments
 
@@ -105,9 +106,12 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     forcing = arguments.array("forcing", forcing, ("time", len(x)))
     # sample by sample: powers of A, of which there would be fewer, are rounded by as much as A is
     # large, and a companion matrix is; trials of a stage at 2 kHz were then off by thousands
-    x = np.vstack([x, forcing[:-1]])
-    for before, now in pairwise(x):
-        now += A @ before
+    x, A = np.vstack([x, forcing[:-1]]), np.asfortranarray(A)
+    if len(A):
+        for before, now in pairwise(x):
+            # now += A @ before, in place and without numpy's overhead: 1, the offsets and strides
+            # of both, no transpose, overwrite
+            dgemv(1.0, A, before, 1.0, now, 0, 1, 0, 1, 0, 1)
     return x
 
 

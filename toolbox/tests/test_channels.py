@@ -62,10 +62,10 @@ def largest_sigma(P, L, omega):
 
 
 @pytest.mark.parametrize(("p", "m"), SHAPES)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_rate_is_the_peak_on_the_smaller_side(p, m, seed):
     """By the formula and by the convex problem; of a model, of two, and of one within a radius."""
-    P, dense = plant(p, m, seed), np.linspace(0, np.pi, 4001)
+    P, dense = plant(p, m, seed), np.linspace(0, np.pi, 1001)
     other, random = P * 1.15, np.random.default_rng(seed)
     for options in ({}, {"order": 7}, {"reference": bump(90, np.ones(p))}):
         design = synthesise(P, Q, **options)
@@ -76,10 +76,10 @@ def test_the_rate_is_the_peak_on_the_smaller_side(p, m, seed):
     peaks = [largest_sigma(plant, both.filter, dense) for plant in (P, other)]
     assert max(peaks) <= both.rate * (1 + 1e-9) and both.rate <= max(peaks) * 1.01
     within = synthesise(P, Q, uncertainty=0.05)
-    omega = within.omega[::50]
+    omega = within.omega[::100]
     nominal, L = response(P, omega), within.filter.frequency_response(omega)
-    radius = within.problem.radius[::50]
-    Delta = complex_normal(random, 40, len(omega), p, m)
+    radius = within.problem.radius[::100]
+    Delta = complex_normal(random, 12, len(omega), p, m)
     Delta *= (radius / np.linalg.norm(Delta, 2, axis=(2, 3)))[..., None, None]
     for changed in nominal + Delta:
         sides = (L, Q, changed) if p > m else (changed, Q, L)
@@ -288,9 +288,9 @@ def test_a_rig_is_recorded_stopped_gone_on_with_and_replayed(tmp_path, p, m, ref
 def test_P_is_measured_from_v_by_shaking_and_from_trials(p, m):
     P = plant(p, m)
     loop = ClosedLoop(Ts=1.0, outputs=P.output_labels, references={}, learned=P.input_labels)
-    shaking = multisine(loop, 0.05, 3.0, 1.0, hours=1.0)
+    shaking = multisine(loop, 0.1, 3.0, 1.0, hours=0.5)
     log = shake(Rig(P, noise=0.01), loop, shaking)
-    omega = np.linspace(0.06, 2.9, 30)
+    omega = np.linspace(0.11, 2.9, 30)
     for measured in (measured_response(log), measured_response(log, of="w")):
         found, radius = measured.on(omega, 0.9999)
         off = np.linalg.norm(found - response(P, omega), 2, axis=(1, 2))

@@ -1,7 +1,6 @@
 """The gains of least squares on a trial, and its memory; the trial itself: test_norm_optimal."""
 
-import subprocess
-import sys
+import tracemalloc
 
 import control
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.testing import assert_allclose
 from plants import lag
 from scipy.linalg import solve_discrete_are
 
+from ilctools import synthesise
 from ilctools.riccati import gains
 
 EPS = np.finfo(float).eps
@@ -30,23 +30,13 @@ def test_far_from_the_end_the_gains_are_those_of_the_algebraic_equation(pole):
     assert_allclose(found.K[0], K, rtol=0, atol=10 * EPS / (1 - pole) * np.abs(K).max())
 
 
-LONG = """
-import resource, sys
-import control, numpy as np
-from ilctools import synthesise
-P = control.ss(np.diag([0.95, 0.5, 0.2]), np.ones((3, 1)), [[0.05, 0.1, 0.1]], 0, 1.0)
-P = control.append(P, P)
-law = synthesise(P).law()
-v, e = np.zeros((100_000, 2)), np.sin(np.arange(200_000.0) / 1e3).reshape(2, -1).T
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-law.next(v, e)
-added = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-print(added / (1024 if sys.platform == "darwin" else 1) / (v.nbytes / 1024))
-"""
-
-
 def test_memory_is_a_few_signals_and_not_the_factors_of_each_sample():
     """Of the default law, whose L is the base: in units of the signals v or e of a trial."""
-    pytest.importorskip("resource")  # which Windows has not
-    run = subprocess.run([sys.executable, "-c", LONG], capture_output=True, text=True, check=True)
-    assert float(run.stdout) < 30  # factors of the same matrices for each sample take 500
+    P = control.ss(np.diag([0.95, 0.5, 0.2]), np.ones((3, 1)), [[0.05, 0.1, 0.1]], 0, 1.0)
+    law = synthesise(control.append(P, P)).law()
+    v, e = np.zeros((20_000, 2)), np.sin(np.arange(40_000.0) / 1e3).reshape(2, -1).T
+    tracemalloc.start()
+    law.next(v, e)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 30 * v.nbytes  # factors of the same matrices for each sample take 500

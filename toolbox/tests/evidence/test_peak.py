@@ -70,8 +70,8 @@ def test_a_model_is_known_at_rest():
 
 def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
     """By the region of its estimate, in whatever units; judged by the plant at rest."""
-    plant, rng, time = lags(), np.random.default_rng(0), np.arange(1500)
-    w = np.cumsum(rng.standard_normal((1500, 2)), axis=0) / 10
+    plant, rng, time = lags(), np.random.default_rng(0), np.arange(800)
+    w = np.cumsum(rng.standard_normal((800, 2)), axis=0) / 10
     w -= np.outer(time / time[-1], w[-1])
     y = control.forced_response(plant, inputs=w.T).outputs.T
     columns = np.column_stack([time, w, y + 0.002 * rng.standard_normal(y.shape)])
