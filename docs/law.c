@@ -91,6 +91,8 @@ static int object(int all, int others)
         need(':');
         if (key <= ENDS) string();
         if (key == FORMAT) format = strncmp(word, "rodlib law ", 11) ? 0 : word[11] - '0';
+        if (key == FORMAT && format == 4 && !word[12])
+            DAMAGED("limits of outputs need the model of the plant: learn by ilctools");
         if (key == FORMAT && (format < 1 || format > 3 || word[12])) DAMAGED("unknown format");
         if (key == ENDS && strcmp(word, "zero"))
             DAMAGED("ends must be zero; of a model, synthesise with reach");

@@ -11,6 +11,8 @@ function v = law(path, v, e)
 saved = jsondecode(fileread(path));
 formats = {"rodlib law 1", "rodlib law 2", "rodlib law 3"};
 is_known = isfield(saved, "format") && any(strcmp(saved.format, formats));
+keeps_outputs = isfield(saved, "outputs");
+refuse(keeps_outputs, "limits of outputs need the model of the plant: learn by ilctools");
 refuse(~is_known, "%s is no file of save_law, or a newer one", path);
 is_limited = isfield(saved, "actuators") && ~isempty(fieldnames(saved.actuators));
 refuse(is_limited, "there must be no limits, but the law has some");

@@ -195,7 +195,8 @@ class LearningOperator(Protocol):
     def weight_of_change(self) -> float:
         """The norm in which it learns, ||P v||^2 + weight ||v||^2, in units of y^2 per v^2.
 
-        Where commands have limits, the law projects v onto them in this norm.
+        Where commands have limits, the law projects v onto them in this norm. An operator may have
+        `weight_of_errors`, too: weights of the squares of P v, by time and output, (time, p).
         """
 
     def frequency_response(self, omega) -> np.ndarray:

@@ -115,6 +115,15 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     return x
 
 
+def from_rest(model: control.StateSpace, w) -> np.ndarray:
+    """The outputs of a model on a trial, (time, p), of its inputs (time, m)."""
+    direct = w @ model.D.T
+    if not model.nstates:
+        return direct
+    x = state_sequence(model.A, w @ model.B.T, np.zeros(model.nstates))
+    return x @ model.C.T + direct
+
+
 def on_trial(samples: int, of_x, of_d, delay: int = 0) -> sparse.csc_array:
     """The matrix of signals of_x x(p - delay) + of_d d(p - delay), p = 0, ..., samples - 1.
 

@@ -16,9 +16,10 @@ from ilctools.riccati import TrialLeastSquares
 
 @dataclass(frozen=True)
 class NormOptimal:
-    """L = (P_N^T P_N + weight I)^-1 P_N^T, for trials of N samples.
+    """L = (P_N^T W P_N + weight I)^-1 P_N^T W, for trials of N samples.
 
-    The change of v that minimises ||e - P_N change||^2 + weight ||change||^2. N. Amann, D. H. Owens
+    The change of v that minimises (e - P_N change)^T W (e - P_N change) + weight ||change||^2, with
+    W = I or the diagonal matrix of the weights `errors`. N. Amann, D. H. Owens
     and E. Rogers, Iterative learning control using optimal feedback and feedforward actions,
     International Journal of Control 65 (1996) 277-293; on the rod, the paper's [15].
 
@@ -26,11 +27,14 @@ class NormOptimal:
     ----------
     P : control.StateSpace
         In discrete time, stable, from rest. With more outputs p than inputs m, no other change of
-        v leaves less of an error, but for the weight; for the law (23) p and m must be equal.
+        v leaves less of an error, but for the weight.
     weight : float
         Above zero, in the square of the unit of y per unit of w.
     samples : int
         Length N of a trial.
+    errors : array_like, shape (samples, p), or (samples,) of one output, optional
+        Weights of the errors, by time and output, in W: zero where nothing is asked. A reference
+        with NaN sets them by itself. Default: one.
 
     See Also
     --------
@@ -63,6 +67,7 @@ class NormOptimal:
     P: Model
     weight: float
     samples: int
+    errors: np.ndarray | None = None
 
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
@@ -70,6 +75,24 @@ class NormOptimal:
         weight = arguments.positive("weight", self.weight)
         samples = arguments.whole("samples", self.samples, 1)
         vars(self).update(P=P, weight=weight, samples=samples)
+        if self.errors is not None:
+            vars(self)["errors"] = self._checked_errors()
+
+    def _checked_errors(self):
+        errors = np.asarray(self.errors)
+        errors = errors[:, None] if errors.ndim == 1 else errors
+        errors = arguments.array("errors", errors, (self.samples, self.columns))
+        if errors.min() < 0 or not errors.any():
+            raise ValueError(
+                f"errors reach from {errors.min():.6g} to {errors.max():.6g}, but must not be "
+                "negative, and not all zero"
+            )
+        return errors
+
+    @property
+    def weight_of_errors(self) -> np.ndarray | float:
+        """That of the norm in which it learns: `errors`."""
+        return 1.0 if self.errors is None else self.errors
 
     def __getstate__(self):
         """All fields, but no factors: another process computes them faster than it reads them."""
@@ -96,8 +119,13 @@ class NormOptimal:
         return self.weight
 
     def frequency_response(self, omega) -> np.ndarray:
-        """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
-        return regularised_inverse(frequency_response(self.P, omega), np.sqrt(self.weight))
+        """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial.
+
+        Weights of errors count by their means over time: a law with others is none of frequencies.
+        """
+        root = np.sqrt(np.ones(self.columns) if self.errors is None else self.errors.mean(axis=0))
+        P = root[:, None] * frequency_response(self.P, omega)
+        return regularised_inverse(P, np.sqrt(self.weight)) * root
 
     @cached_property
     def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,12 +135,13 @@ class NormOptimal:
     @cached_property
     def _factors(self) -> TrialLeastSquares:
         """Of the least squares on a trial, for any error."""
-        return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples)
+        return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples, self.errors)
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         shape = ..., self.samples, self.columns
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
+        signal = signal * self.weight_of_errors
         C, D = self._states[2], self.P.D
         change = np.empty((*signal.shape[:-1], self.P.ninputs))
         of_trials = change.reshape(-1, *change.shape[-2:])  # the same numbers
@@ -121,7 +150,7 @@ class NormOptimal:
         return change
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """The transpose of the matrix that :meth:`apply` is: P_N (P_N^T P_N + weight I)^-1."""
+        """The transpose of the matrix that :meth:`apply` is: W P_N (P_N^T W P_N + weight I)^-1."""
         shape = ..., self.samples, self.P.ninputs
         signal = arguments.array("signal", signal, shape)
         C, D = self._states[2], self.P.D
@@ -130,7 +159,7 @@ class NormOptimal:
         to_x, to_d = np.zeros((len(D.T), C.shape[1])), np.eye(len(D.T))
         for part, x, d in self._factors.solved(signal.reshape(-1, *shape[1:]), to_x, to_d):
             of_trials[:, part] = x @ C.T + d @ D.T
-        return output
+        return output * self.weight_of_errors
 
 
 def regularised_inverse(P, b) -> np.ndarray:

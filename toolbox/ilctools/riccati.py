@@ -51,16 +51,25 @@ class Gains(NamedTuple):
     root: np.ndarray  # (count, m, m), T^-1
 
 
-def gains(A, B, C, D, weight: float, samples: int) -> Gains:
-    """K and T^-1 by (2) to (4), backwards from the end until S no longer changes."""
+def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
+    """K and T^-1 by (2) to (4), backwards from the end until S no longer changes.
+
+    With weights of errors (samples, p), |y|^2 in (1) is sum_i errors_i y_i^2, and there are gains
+    of all samples.
+    """
     n, m = B.shape
     above = np.block([[np.sqrt(weight) * np.eye(m), np.zeros((m, n))], [D, C]])
     dynamics = np.hstack([B, A])
     U, S, count, parts = np.zeros((n, n)), np.zeros((n, n)), 0, []
     stationary = False
+    if errors is not None:
+        roots = np.hstack([np.ones((samples, m)), np.sqrt(errors)])
+        rows, _ = _backwards(above * roots[..., None], dynamics, U, samples)
+        parts, count = [rows], samples
     while count < samples and not stationary:
         look = min(samples, max(FIRST_LOOK, count + count // 2))
-        rows, U = _backwards(above, dynamics, U, look - count)
+        same = np.broadcast_to(above, (look - count, *above.shape))
+        rows, U = _backwards(same, dynamics, U, look - count)
         parts.append(rows)
         before, S, count = S, U.T @ U, look
         size = np.sqrt(np.diag(S))
@@ -71,14 +80,17 @@ def gains(A, B, C, D, weight: float, samples: int) -> Gains:
 
 
 def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
-    """T and T K, side by side, of so many samples before that of U; and U of the first of them."""
+    """T and T K, side by side, of so many samples before that of U; and U of the first of them.
+
+    `above` are the rows of (2) to (4) that do not come from U, of each sample.
+    """
     n, width = dynamics.shape
-    m = width - n
-    matrix = np.empty((len(above) + n, width), order="F")  # what is decomposed, in its place
+    m, height = width - n, above.shape[1]
+    matrix = np.empty((height + n, width), order="F")  # what is decomposed, in its place
     rows, upper = np.empty((count, m, width)), np.triu(np.ones((n, n)))
-    for row in rows[::-1]:
-        matrix[: len(above)] = above
-        matrix[len(above) :] = U @ dynamics
+    for row, now in zip(rows[::-1], above[::-1], strict=True):
+        matrix[:height] = now
+        matrix[height:] = U @ dynamics
         triangle, *_ = dgeqrf(matrix, overwrite_a=True)  # below its diagonal: the rotations
         row[:] = triangle[:m]
         U = triangle[m : m + n, m:] * upper
@@ -88,9 +100,9 @@ def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
 class TrialLeastSquares:
     """The minimum of (1) for trials of so many samples; factored once, for any f and g."""
 
-    def __init__(self, A, B, C, D, weight: float, samples: int):
+    def __init__(self, A, B, C, D, weight: float, samples: int, errors=None):
         self.A, self.B, self.samples = A, B, samples
-        self.gains = gains(A, B, C, D, weight, samples)
+        self.gains = gains(A, B, C, D, weight, samples, errors)
         piece = max(1, PIECE // (2 * max(1, A.size)))
         starts = range(0, samples, piece)
         self.parts = [slice(start, min(start + piece, samples)) for start in starts]

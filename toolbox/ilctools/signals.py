@@ -13,6 +13,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 
+ASKED = "asked"  # the coordinate of points
 TRIAL_AXES = ("trial", "time", "channel")  # of outputs and controls
 # Of trials, in their order in a log, and the role of their channels. v is of inputs where it is not
 # added to references, one for each output.
@@ -106,6 +107,23 @@ def dataset(
             attributes = {"units": ", ".join(dict.fromkeys(labels))}
             variables[signal] = ("trial", "time", dimension), signals[signal], attributes
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
+
+
+def with_points(trials: xr.Dataset, points) -> xr.Dataset:
+    """Trials of which something is asked at points only, (time, p), bool; None: everywhere.
+
+    The coordinate `asked` says where; elsewhere the error is zero.
+    """
+    if points is None:
+        return trials
+    axes = trials.y.dims[-2:]
+    trials = trials.assign_coords({ASKED: (axes, np.asarray(points))})
+    return trials.assign(e=trials.e.where(trials[ASKED], 0.0)) if "e" in trials else trials
+
+
+def points_of(trials: xr.Dataset) -> np.ndarray | None:
+    """Where something is asked of trials, (time, p); None: everywhere."""
+    return trials[ASKED].values if ASKED in trials.coords else None
 
 
 def roles_of(of_inputs: bool) -> dict[str, str]:

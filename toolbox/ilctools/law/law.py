@@ -10,7 +10,18 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning
-from ilctools.law.limits import Actuators, LimitsOf, check_solver, projected, stated_limits
+from ilctools.law.limits import (
+    Actuators,
+    LimitsOf,
+    check_solver,
+    command_model,
+    commands_after,
+    projected,
+    stated_limits,
+)
+from ilctools.law.nearest import Norm
+from ilctools.law.output_limits import Commands, OutputLimits
+from ilctools.law.output_step import PAST, Done, Step
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
 
@@ -52,6 +63,9 @@ class Law:
     labels : Signals, optional
         Names and units of the plant of a design: a loop with the same in another order is refused.
         No file stores them, either.
+    output_limits : OutputLimits, optional
+        Limits of outputs, with what is known of the plant. :meth:`.Synthesis.law` makes them; print
+        them for what they promise.
 
     See Also
     --------
@@ -79,6 +93,7 @@ class Law:
     loop: Loop | None = None
     region: Any = field(default=None, repr=False)
     labels: Signals | None = field(default=None, repr=False)
+    output_limits: OutputLimits | None = None
 
     def __post_init__(self):
         if not isinstance(self.Q, ZeroPhaseButterworth):
@@ -96,7 +111,27 @@ class Law:
             gain=arguments.number("gain", self.gain, "in (0, 1]", 0, most=1),
         )
         commands = getattr(self.loop, "commands", None)
+        self._refuse_outputs(commands)
         vars(self)["limits"] = stated_limits(self.limits, commands)
+
+    def _refuse_outputs(self, commands):
+        """Refuse limits of outputs that do not come from a design, or are for another loop."""
+        kept = self.output_limits
+        if commands is None:
+            return
+        names = self.limits if isinstance(self.limits, dict) else ()
+        if outputs := [n for n in names if n in self.loop.outputs and n not in commands]:
+            raise ValueError(
+                f"limits[{outputs[0]!r}] is of an output: it takes a plant and its radius to keep "
+                "it, so make the law by a design, synthesise(...).law(limits=...)"
+            )
+        if kept is not None:
+            arguments.instance("output_limits", kept, OutputLimits)
+            if kept.region.outputs != [*self.loop.outputs]:
+                raise ValueError(
+                    f"limits of outputs are for a plant with the outputs {kept.region.outputs}, "
+                    f"but the loop has {[*self.loop.outputs]}"
+                )
 
     @property
     def Ts(self) -> float:
@@ -177,7 +212,7 @@ class Law:
             self.L.apply(np.zeros((samples, self.columns)))
         return v
 
-    def next(self, v, e, u=None, applied=None) -> np.ndarray:
+    def next(self, v, e, u=None, applied=None, y=None, *, references=None, past=()) -> np.ndarray:
         """The signal of the next trial, v_{k+1} of (23).
 
         With limits, of all v whose commands stay within them, the nearest to the v* of the law
@@ -186,6 +221,10 @@ class Law:
         of :class:`ilctools.NormOptimal` and a Q near one this is constrained norm-optimal learning,
         whose predicted error cannot rise. What the loop asks for in the rest, where v is zero, is
         left out of account. Of a ClosedLoop without P the commands are cut off instead.
+
+        With limits of outputs the change of v is shortened, or another one is taken that needs
+        less, see :mod:`.output_step`. If an output of the trial was beyond its limit, the next one
+        goes back to the share of what drove it that would have kept it, from rest.
 
         Parameters
         ----------
@@ -202,6 +241,13 @@ class Law:
         applied : array_like, shape (time, commands), optional
             What the actuators made of u, and the observer was informed of. Default: u, cut off at
             the limits.
+        y : array_like, shape (time, p), optional
+            Needed with limits of outputs: the outputs of the trial.
+        references : tuple of array_like, shapes (time, p), optional
+            Of the trial and of the next one, where there are limits. Default: e + y, for both.
+        past : sequence of dict, optional
+            Signals by name, as v, reference and y, of trials before this one, the last one last:
+            with them limits of outputs leave more to be learned.
 
         Returns
         -------
@@ -210,8 +256,8 @@ class Law:
         Raises
         ------
         ValueError
-            If signals do not fit the law, or are so large that the next v is not finite, or if
-            limits lack a loop or u.
+            If signals do not fit the law, or are so large that the next v is not finite; if limits
+            lack a loop, u or y; if an output was beyond its limit, and a reference alone moves it.
         RuntimeError
             If the solver fails.
         """
@@ -222,14 +268,80 @@ class Law:
         v = arguments.in_columns("v", v, (..., "time", self.rows), names)
         of_e = self._names(e, self.outputs, self.columns)
         e = arguments.in_columns("e", e, (*v.shape[:-1], self.columns), of_e)
-        rest = arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
+        arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
         v, applied = self.applied(v, u, applied)
-        following = self._learned(v, e)
-        following[..., v.shape[-2] - rest :, :] = 0
-        if self.actuators is not None:
-            weight = self.L.weight_of_change
-            following = projected(self.loop, self.actuators, v, applied, following, weight, rest)
+        y = y if y is None else arguments.in_columns("y", y, e.shape, of_e)
+        if references is not None:
+            references = [arguments.in_columns("references", r, e.shape, of_e) for r in references]
+        elif y is not None:
+            references = e + y, e + y
+        target = self.unlimited(v, e)
+        following, _ = self.within_limits(target, v, applied, y, references, past)
         return arguments.labelled_as(labelled, following, names)
+
+    def unlimited(self, v, e) -> np.ndarray:
+        """v of (23), with its rest, but without limits; arrays (..., time, channel)."""
+        following = self._learned(v, e)
+        following[..., v.shape[-2] - self.rest :, :] = 0
+        return following
+
+    def within_limits(
+        self, target, v, applied, y=None, references=None, past=()
+    ) -> tuple[np.ndarray, Step | None]:
+        """What limits leave of a target for the next v, and the step of outputs, if one was made.
+
+        `v` and `applied` are those of :meth:`applied`; the others are as for :meth:`next`.
+        """
+        now, after = references or (np.zeros((*v.shape[:-1], self.columns)),) * 2
+        moved = after - now
+        if self.actuators is not None:
+            commands = commands_after(self.loop, applied, target - v, moved)
+            norm = Norm.of(self.L)
+            target = projected(self.loop, self.actuators, v, target, commands, norm, self.rest)
+        if self.output_limits is None:
+            return target, None
+        return self._keeping_outputs(target, v, applied, y, now, moved, past)
+
+    def _keeping_outputs(self, target, v, applied, y, reference, moved, past):
+        """The part of :meth:`within_limits` that is about outputs."""
+        if self.loop is None:
+            raise ValueError("limits of outputs need the law's loop: law.bound_to(loop)")
+        if y is None:
+            raise ValueError("y = None: with limits of outputs, the trial's outputs are needed")
+        added, kept = self.loop.one_for_one, self.output_limits
+        if kept.beyond(y).any():
+            return self._back(v, reference, y, moved), None
+        now = Done(v + reference if added else v, y)
+        wanted = target - v + (moved if added else 0)
+        done = [self._done(part) for part in past[-PAST:]]
+        commands, active = None, len(v) - self.rest
+        if self.actuators is not None:
+            u = commands_after(self.loop, applied, target - v, moved)[:active]
+            commands = Commands(command_model(self.loop), self.actuators.room(u))
+        step = kept.step(wanted, now, done, Norm.of(self.L), active, commands)
+        return v + step.change - (moved if added else 0), step
+
+    def _done(self, part):
+        """What drove P in a trial, as far as it was applied, and what came of it."""
+        v, reference, y = (np.asarray(part[name], float) for name in ("v", "reference", "y"))
+        u = self.loop.asked(part)
+        v, _ = self.applied(v, u, part.get("applied"))
+        return Done(v + reference if self.loop.one_for_one else v, y)
+
+    def _back(self, v, reference, y, moved):
+        """v after a trial beyond a limit: the share of what drove it that would have kept it."""
+        kept = self.output_limits
+        if not self.loop.one_for_one and self.loop.references:
+            name = kept.region.outputs[int(kept.beyond(y).argmax())]
+            raise ValueError(
+                f"{name} was beyond its limit by {kept.beyond(y).max():.3g}, and v alone does not "
+                "bring it back, as it has a reference of its own: take a smaller reference"
+            )
+        share = kept.safe_share(y)
+        if not self.loop.one_for_one:
+            return share * v
+        w = reference[0] + share * (reference + v - reference[0])
+        return w - (reference + moved)
 
     def _learned(self, v, e):
         """v of (23) without rest and limits."""

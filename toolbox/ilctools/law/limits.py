@@ -3,31 +3,25 @@
 Section III has no limits. A projection onto a convex set brings no two signals further apart, in
 its own norm, so that a rate in that norm holds within the limits, too. Of trials without ends it is
 the largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), W = P^H P + weight I: by that factor the root
-of ||P d||^2 + weight ||d||^2 shrinks at least, d the distance of v from its limit. The program has
-the stages of the loop, one for each sample; PIQP solves it.
+of ||P d||^2 + weight ||d||^2 shrinks at least, d the distance of v from its limit.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+import control
 import numpy as np
-from scipy import sparse
 
 from ilctools import arguments
+from ilctools.law import nearest
+from ilctools.law.nearest import Norm, Rows
 from ilctools.loop.closed import Loop
-from ilctools.models import balanced, dynamics_on_trial, on_trial, state_sequence
-
-try:
-    import piqp
-except ImportError:  # which not every platform has
-    piqp = None
+from ilctools.models import from_rest
 
 # Of the width of the limits: by so much a solver's rounding may pass them. The projection stays
 # inside by it, so that its commands are not counted as cut off.
 SOLVER_ROUNDING = 1e-6
-# of PIQP's systems: with its own 1e-10 rounding may keep it from an end
-LEAST_REGULARISATION = 1e-8
 CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
 UNLIMITED = (-np.inf, np.inf)
 
@@ -85,6 +79,11 @@ class Actuators:
         """What is applied of commands, shape (..., m)."""
         return np.clip(commands, self.lowest, self.highest)
 
+    def room(self, commands) -> tuple[np.ndarray, np.ndarray]:
+        """By how much commands may change, low and high, but for what a solver rounds."""
+        margin = SOLVER_ROUNDING * self.width
+        return self.lowest + margin - commands, self.highest - margin - commands
+
 
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
@@ -100,77 +99,53 @@ def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, f
 
 def check_solver(loop: Loop) -> None:
     """Refuse to learn within limits, before any trial, where there is no solver for it."""
-    if loop.P_v is not None and piqp is None:
+    if loop.P_v is not None and nearest.piqp is None:
         raise ImportError(
             "limits of a law need the package piqp: install it, by pip install piqp, or leave the "
             "limits out, Law(..., limits={})"
         )
 
 
-def projected(
-    loop: Loop, actuators: Actuators, v, applied, target, weight: float, rest: int
-) -> np.ndarray:
-    """Of all v whose commands can be applied, the nearest to `target`, see :func:`_nearest`.
-
-    `applied` are the commands of a trial with the signal `v`. Without P commands are cut off.
-    """
-    active, change = len(v) - rest, target - v
-    applicable = np.zeros_like(v)
+def command_model(loop: Loop) -> control.StateSpace:
+    """From v to the commands, u = K x + N v; of a loop without P they are its inputs w."""
     P = loop.P_v
     if P is None:
-        no_reference = np.zeros((len(v), len(loop.outputs)))
-        u = applied + loop.w(no_reference, change)
-        applicable[:active] = loop.realised(target, u, actuators.follow(u))[:active]
-        return applicable
+        m = len(loop.learned)
+        N = loop.w(np.zeros((m, len(loop.outputs))), np.eye(m)).T
+        return control.ss([], np.zeros((0, m)), np.zeros((len(N), 0)), N, loop.Ts)
     K, N = loop.feedback()
-    x = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
-    u = (applied + x @ K.T + change @ N.T)[:active]  # the commands of the target
+    return control.ss(P.A, P.B, K, N, P.dt)
+
+
+def commands_after(loop: Loop, applied, change, reference_change) -> np.ndarray:
+    """The commands of a trial, (time, commands), after one in which `applied` were applied.
+
+    Between them v changes by `change`, (time, m), and the reference by (time, p).
+    """
+    if loop.one_for_one:
+        change = change + reference_change
+    else:
+        applied = applied + loop.w(reference_change, 0 * change)
+    return applied + from_rest(command_model(loop), change)
+
+
+def projected(
+    loop: Loop, actuators: Actuators, v, target, commands, norm: Norm, rest: int
+) -> np.ndarray:
+    """Of all v whose commands can be applied, the nearest to `target`, see :mod:`.nearest`.
+
+    `commands` are those of `target`, (time, commands). Without P they are cut off.
+    """
+    active, applicable = len(v) - rest, np.zeros_like(v)
+    if loop.P_v is None:
+        followed = actuators.follow(commands)
+        applicable[:active] = loop.realised(target, commands, followed)[:active]
+        return applicable
+    u = commands[:active]
     if actuators.can(u):
         return target
-    applicable[:active] = target[:active] + _nearest(loop, actuators, u, weight, len(v))
+    beyond = np.abs(actuators.follow(u) - u).max()
+    rows = Rows(*loop.feedback(), *actuators.room(u))
+    change = nearest.nearest(loop.P_v, norm, len(v), active, [rows], beyond)
+    applicable[:active] = target[:active] + change
     return applicable
-
-
-def _nearest(loop, actuators, u, weight, samples):
-    """The least change z, (active, m), of a target whose commands would be u, (active, commands).
-
-    minimise    sum_p ||y(p)||^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
-    subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
-                lowest <= u + K x + N z <= highest
-    """
-    cost, dynamics, commands = _program(loop, weight, samples, len(u))
-    margin = SOLVER_ROUNDING * actuators.width  # for the solver's rounding
-    # The solver's tolerances are absolute: in units of what is beyond the limits, z costing one.
-    size = np.abs(actuators.follow(u) - u).max()
-    low = (actuators.lowest + margin - u).ravel() / size
-    high = (actuators.highest - margin - u).ravel() / size
-    moved = np.diff(commands.indptr) > 0  # by v; others are cut off if they must be
-    limited = moved & (np.isfinite(low) | np.isfinite(high))
-
-    solver = piqp.SparseSolver()
-    solver.settings.reg_lower_limit = LEAST_REGULARISATION
-    solver.setup(
-        cost.tocsc(), np.zeros(cost.shape[0]), dynamics, np.zeros(dynamics.shape[0]),
-        commands[limited].tocsc(), low[limited], high[limited],
-    )  # fmt: skip
-    status = solver.solve()
-    if status != piqp.PIQP_SOLVED:
-        raise RuntimeError(
-            f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
-            "the loop's signals of very different sizes?"
-        )
-    change = solver.result.x[-len(u) * loop.P_v.ninputs :]
-    return size * change.reshape(len(u), -1)
-
-
-def _program(loop, weight, samples, active):
-    """Of all x, then of all z before the rest: the cost / weight, the dynamics, the commands."""
-    P, (K, N) = loop.P_v, loop.feedback()
-    n, p, m = P.nstates, P.noutputs, P.ninputs
-    A, B, CK = balanced(P, K)  # else feasible programs may fail
-    moving = slice(samples * n + active * m)  # z is zero in the rest
-    y = on_trial(samples, CK[:p], P.D)[:, moving]
-    dynamics = dynamics_on_trial(samples, A, B)[:, moving]
-    commands = on_trial(samples, CK[p:], N)[: active * len(N), moving].tocsr()
-    of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
-    return y.T @ y / weight + sparse.diags_array(of_z), dynamics, commands

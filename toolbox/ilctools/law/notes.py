@@ -19,19 +19,24 @@ from ilctools.files import keep_others, regular, write_whole
 from ilctools.filters import Composition, Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import LimitsOf, named_limits
+from ilctools.law.output_limits import OutputLimits
+from ilctools.law.plant_region import PlantRegion
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.pooled import isometry
+from ilctools.response.scale import Scale
 from ilctools.signals import Signals, check_match
 
-# of the file: the second see `is_newer`, the third for other numbers of inputs than of outputs
-LAW_FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3")
+# of the file: the second see `is_newer`, the third for other numbers of inputs than of outputs, the
+# fourth with limits of outputs
+LAW_FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3", "rodlib law 4")
 # What is not noted, in a file and in a log; step is the learning gain, actuators are the limits.
 # A file leaves them to the rig, if it does not say {}; a log was made within those that it names.
-OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG}
+OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG, "outputs": None}
 OF_LOG = OF_FILE | {"actuators": {}}
 LAW_KEYS = ("Q", "L", *OF_LOG)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 RESET = "reset"  # the note that says that there was none between trials, NO_RESET
+BETWEEN = "between"  # the note of what makes v where the reference changes, if not the law
 NO_RESET = "none: a trial starts where the last one ended"
 PARTS_OF_MODEL = (*"ABCD", "dt")  # of a model, and its sampling period
 
@@ -105,8 +110,35 @@ def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
     if L is None or isinstance(L, Filter):
         notes["L"] = L and _filter_note(L)
-    others = {"rest": law.rest, "step": law.gain, "actuators": law.limits}
+    kept = law.output_limits and _limits_note(law.output_limits)
+    others = {"rest": law.rest, "step": law.gain, "actuators": law.limits, "outputs": kept}
     return notes | {key: value for key, value in others.items() if value != usual[key]}
+
+
+def _limits_note(kept):
+    """Limits of outputs and the plants within their radii, in units of `scale`, as JSON."""
+    limits = {
+        name: [None if np.all(np.isinf(end)) else end for end in ends]
+        for name, ends in kept.limits.items()
+    }
+    region = {part.name: getattr(kept.region, part.name) for part in fields(kept.region)}
+    region["models"] = [*region["models"]]  # each as a model, not as numbers
+    region["scale"] = [*kept.region.scale]
+    return {"limits": limits, "noise": kept.noise, "region": region}
+
+
+def _limits_from(note):
+    """The limits of outputs that were noted; None if there are none."""
+    if note is None:
+        return None
+    region = note["region"]
+    region |= {
+        "models": tuple(map(model_from, region["models"])),
+        "angles": arguments.row("angles", region["angles"]),
+        "radii": arguments.array("radii", region["radii"], ("plants", "frequencies")),
+        "scale": Scale(*(arguments.row("scale", size) for size in region["scale"])),
+    }
+    return OutputLimits(note["limits"], note["noise"], PlantRegion(**region))
 
 
 def _filter_note(L):
@@ -133,10 +165,10 @@ def _stacked(P):
     return None if rest else isometry(copies, P.ninputs)
 
 
-def _law_from(Ts, Q, L, rest, step, actuators):
+def _law_from(Ts, Q, L, rest, step, actuators, outputs):
     """The law that :func:`law_notes` noted."""
-    L = None if L is None else _filter_from(Ts, **L)
-    return Law(ZeroPhaseButterworth(Ts=Ts, **Q), L, rest, step, actuators)
+    L, kept = None if L is None else _filter_from(Ts, **L), _limits_from(outputs)
+    return Law(ZeroPhaseButterworth(Ts=Ts, **Q), L, rest, step, actuators, output_limits=kept)
 
 
 def _filter_from(Ts, base=None, K_first=True, **taps):
@@ -213,7 +245,8 @@ def save_law(path, law: Law, note: str = "") -> None:
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
         shape (m, p, order), ends; if it looks back or has a base, first and base: null, or b,
         scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
-        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``, the
+        gain), ``actuators`` (the limits) and ``outputs`` (limits of outputs, noise, and the plants
+        within their radii), ``note``; and, for other languages, ``sections``, the
         second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
         The actuators {} stand for no limits at all; without this key the limits are the rig's.
         Other keys are refused where it is read; of the sections, only docs/law.c checks that they
@@ -241,6 +274,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     arguments.instance("note", note, str)
     notes = law_notes(law)
     number = is_newer(text_of(notes)) if law.rows == law.columns else 2
+    number = 3 if law.output_limits else number
     content = {"format": LAW_FORMATS[number], "Ts": law.Ts, **notes, "note": note}
     text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
     keep_others(path, text[: text.index("law")])  # raw data, say

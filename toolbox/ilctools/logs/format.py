@@ -17,11 +17,11 @@ from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.files import keep_others, write_pieces
 from ilctools.law.notes import is_newer
-from ilctools.signals import SIGNALS, period_of, roles_of
+from ilctools.signals import ASKED, SIGNALS, period_of, points_of, roles_of
 
 # the second where the note of L `is_newer`, the third where v is of inputs
 LOG_FORMATS = ("rodlib trial log 2", "rodlib trial log 3", "rodlib trial log 4")
-RESERVED_KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
+RESERVED_KEYS = ("format", "Ts", "signals", ASKED)  # of the metadata that are not free
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
 
 _message = Repr()
@@ -79,6 +79,7 @@ def write_log(trials: xr.Dataset, path) -> None:
         "format": LOG_FORMATS[format_number],
         "Ts": f"{Ts!r} s",
         "signals": json.dumps(signals, ensure_ascii=False),
+        **_points_note(trials),
         **_free_metadata(trials.attrs),
     }
     columns = columns_of(signals, trials)
@@ -97,6 +98,16 @@ def write_log(trials: xr.Dataset, path) -> None:
         for k, number in enumerate(numbers)
     )
     write_pieces(path, chain([f"{head}{titles}\n".encode()], *each))
+
+
+def _points_note(trials):
+    """Samples at which something is asked, by output, if it is not at all."""
+    points = points_of(trials)
+    if points is None:
+        return {}
+    names = trials.output.values.tolist()
+    samples = {n: np.flatnonzero(p).tolist() for n, p in zip(names, points.T, strict=True)}
+    return {ASKED: json.dumps(samples, ensure_ascii=False)}
 
 
 def rows_as_text(number: int, times, signals: Sequence[np.ndarray]) -> Iterator[bytes]:

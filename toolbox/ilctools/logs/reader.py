@@ -18,7 +18,7 @@ from ilctools.files import regular
 from ilctools.logs.clock import check_trials, seconds
 from ilctools.logs.contents import text_in
 from ilctools.logs.format import LOG_FORMATS, RESERVED_KEYS, check_signals, columns_of, few
-from ilctools.signals import dataset
+from ilctools.signals import ASKED, dataset, with_points
 from ilctools.warn import warn
 
 # of pandas, which then warns of rows that are longer than the titles, and shifts no column
@@ -109,7 +109,17 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
         elif torn.strip() and not ended:
             warn(f"{path}: the last line has no line feed, and is left out")
         notes = {key: value for key, value in metadata.items() if key not in RESERVED_KEYS}
-        return trials_of(table, signals, Ts, notes)
+        trials = trials_of(table, signals, Ts, notes)
+        return trials if ASKED not in metadata else _with_points_from(metadata[ASKED], trials)
+
+
+def _with_points_from(note, trials):
+    """Trials with the points that were noted."""
+    points = np.zeros(trials.y.shape[1:], dtype=bool)
+    with reading(ASKED):
+        for name, samples in json.loads(note).items():
+            points[samples, trials.output.values.tolist().index(name)] = True
+    return with_points(trials, points)
 
 
 @contextmanager

@@ -15,12 +15,15 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.law.law import Law
-from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
+from ilctools.law.notes import BEGUN, BETWEEN, RESET, law_of, loop_of
+from ilctools.law.output_step import Step
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.signals import points_of, with_points
 from ilctools.trials.diagnosis import diagnose
-from ilctools.trials.learn import next_v
+from ilctools.trials.learn import BETWEEN_TRIALS, next_step, next_v
 from ilctools.trials.parts import from_rest_to_rest, parts_of
+from ilctools.trials.points import asking
 from ilctools.trials.rms import rms
 from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
@@ -41,6 +44,11 @@ class Replay:
     loop: Loop | None
     law: Law | None
     resets: bool  # whether every trial starts from the same state
+
+    @property
+    def between(self) -> str:
+        """What makes v where the reference changes."""
+        return self.trials.attrs.get(BETWEEN, BETWEEN_TRIALS[0])
 
     @property
     def outputs(self) -> list[str]:
@@ -87,6 +95,7 @@ class Replay:
                 trials=len(self.numbers),
                 v=self.trials.v.values[0],
                 reset=self.resets,
+                between=self.between,
             )
 
     @cached_property
@@ -123,20 +132,48 @@ class Replay:
         return self._by_trial(1 - error / np.where(size > 0, size, np.nan))
 
     @cached_property
-    def departure(self) -> pd.DataFrame | None:
-        """Largest distance of v from that of the law; NaN where the trial before is missing.
+    def expected(self) -> list[tuple[np.ndarray, Step | None]] | None:
+        """v of each trial by the law, NaN where the trial before is missing, and its step.
 
         None without a law, and of trials without reset.
         """
         if self.law is None or not self.resets:
             return None
-        v, parts = self.trials.v.values, parts_of(self.trials)
-        expected = np.full_like(v, np.nan)
-        if self.numbers[0] == 1 and BEGUN not in self.trials.attrs:
-            expected[0] = 0
-        for k in np.flatnonzero(np.diff(self.numbers) == 1):
-            expected[k + 1] = next_v(self.law, v[k], True, parts[: k + 1])
-        return self._by_trial(np.abs(v - expected).max(axis=1), self.inputs)
+        parts = parts_of(self.trials)
+        begun = self.numbers[0] > 1 or BEGUN in self.trials.attrs
+        expected = [(np.full_like(parts[0]["v"], np.nan if begun else 0), None)]
+        for k, step in enumerate(np.diff(self.numbers), start=1):
+            if step > 1:
+                expected.append((np.full_like(parts[k]["v"], np.nan), None))
+            else:
+                upcoming = parts[k]["reference"]
+                expected.append(next_step(self.law, self.between, parts[:k], upcoming))
+        return expected
+
+    @property
+    def departure(self) -> pd.DataFrame | None:
+        """Largest distance of v from that of the law; NaN where the trial before is missing.
+
+        None without a law, and of trials without reset.
+        """
+        if self.expected is None:
+            return None
+        expected = np.array([v for v, _ in self.expected])
+        return self._by_trial(np.abs(self.trials.v.values - expected).max(axis=1), self.inputs)
+
+    @property
+    def kept(self) -> pd.DataFrame | None:
+        """How far limited outputs stayed from their limits, and alpha of the step before.
+
+        A negative distance is beyond a limit. None without limits of outputs.
+        """
+        limits = getattr(self.law, "output_limits", None)
+        if limits is None or self.expected is None:
+            return None
+        distance = [limits.distance(y) for y in self.trials.y.values]
+        table = self._by_trial(distance)[[*limits.limits]]
+        alpha = [np.nan if step is None else step.alpha for _, step in self.expected]
+        return table.add_suffix(" to its limit").assign(alpha=alpha)
 
     def _by_trial(self, values, names=None):
         """A table of values (trial, output), or of other channels by their names."""
@@ -150,7 +187,8 @@ class Replay:
         """
         if self.law is None:
             return None
-        return next_v(self.law, self.trials.v.values[-1], self.resets, parts_of(self.trials))
+        v, parts = self.trials.v.values[-1], parts_of(self.trials)
+        return next_v(self.law, v, self.resets, self.between, parts)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -213,6 +251,8 @@ class Replay:
             f"law: {self.agreement}",
             f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
         ]
+        if self.kept is not None:
+            lines.append(f"limits of outputs:\n{self.kept.to_string(float_format='{:.3g}'.format)}")
         if self.fit is not None:
             mean = (100 * self.fit.mean()).round(1)
             fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
@@ -276,9 +316,11 @@ def replay(trials: xr.Dataset) -> Replay:
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials, "reference", "v")  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
-    error = trials.reference - trials.y
-    trials = trials.assign(e=error.assign_attrs(trials.y.attrs))
+    error, points = trials.reference - trials.y, points_of(trials)
+    trials = with_points(trials.assign(e=error.assign_attrs(trials.y.attrs)), points)
     law, loop = law_of(trials), loop_of(trials)
+    if points is not None and law is not None:
+        law = asking(law, points)
     if law is not None and law.known_limits and (loop is None or loop.asked(trials) is None):
         law = None  # whose projection cannot be computed
     result = Replay(trials, loop, law, resets=RESET not in trials.attrs)

@@ -282,10 +282,16 @@ def _along(response, directions) -> Response:
     return replace(response, P=P, models=models, low=low, directions=directions)
 
 
+def in_all_directions(response: Response) -> Response:
+    """A response with the directions that were left out."""
+    if response.directions is None:
+        return response
+    return replace(_along(response, response.directions.back), directions=None)
+
+
 def in_own_units(response: Response) -> Response:
     """A response in the plants' own units; its radius covers that in units of `scale`."""
-    if response.directions is not None:
-        response = replace(_along(response, response.directions.back), directions=None)
+    response = in_all_directions(response)
     back, radius, low = response.scale.inverse, response.radius, response.low
     models, P = _in_units(back, response.models, response.P)
     widest = back.of_P.max()

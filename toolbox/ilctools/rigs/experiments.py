@@ -8,14 +8,14 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.filters import Filter
 from ilctools.law.law import Law
-from ilctools.law.notes import BEGUN, NO_RESET, RESET, with_law
+from ilctools.law.notes import BEGUN, BETWEEN, NO_RESET, RESET, with_law
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
 from ilctools.rigs.description import RigDescription, described
 from ilctools.rigs.protocol import Rig
 from ilctools.rigs.trial_by_trial import Experiment
 from ilctools.signals import check_match
-from ilctools.trials.learn import asked_of, next_v
+from ilctools.trials.learn import TRANSFER, asked_of, next_v
 
 
 def record(
@@ -32,6 +32,8 @@ def record(
     reset: bool = True,
     decimals: dict[str, int] | None = None,
     stop: dict[str, tuple[float, float] | None] | None = None,
+    pilot: float | None = None,
+    between: str = "law",
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
 
@@ -92,6 +94,8 @@ def record(
         Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
         stands for no limit. Default: outputs may be beyond all references by five times the largest
         in the same unit, if it is not zero; commands may span a hundred times the rig's limits.
+    pilot, between :
+        As for :func:`ilctools.run_trials`.
 
     Returns
     -------
@@ -148,19 +152,23 @@ def record(
     law = arguments.instance("law", law, Law).bound_to(loop)
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, Filter)  # or the log could not note it
-    reference, first = asked_of(loop, law, reference, trials, v, reset)
+    law, reference, first, points = asked_of(law, reference, trials, v, reset, pilot, between)
     about = described(rig, loop, reference, law, stop, decimals, goes_on=not reset)
     law, pause = about.law, _checked_pause(pause, about)
     check_match(law=law, rig=about)
     flows = about.flows_of(disturbance)
 
-    following = partial(next_v, law, first, reset)
+    following = partial(next_v, law, first, reset, between)
     notes = with_law(xr.Dataset(), law).attrs
     if v is not None:
         notes[BEGUN] = "v of trial 1 was given"
+    elif first.any():
+        notes[BEGUN] = "trial 1 takes a share of the reference"
+    if between == TRANSFER:
+        notes[BETWEEN] = between
     if not reset:
         notes[RESET] = NO_RESET
-    return Experiment(about, reference, flows, following, notes, pause).finish(path)
+    return Experiment(about, reference, flows, following, notes, pause, points).finish(path)
 
 
 def _checked_pause(pause: int | None, about: RigDescription) -> int | None:
@@ -235,7 +243,7 @@ def shake(
     flows = about.flows_of(None)
     notes = with_excitation(xr.Dataset(), excitation, loop, about.limits).attrs
 
-    def following(trials):
+    def following(trials, upcoming):
         return shaken[len(trials)]  # whatever the trials before were
 
     return Experiment(about, reference, flows, following, notes, pause=0).finish(path)

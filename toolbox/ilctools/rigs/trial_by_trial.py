@@ -8,18 +8,19 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ilctools.law.notes import LAW_KEYS, RESET
+from ilctools.law.notes import BETWEEN, LAW_KEYS, RESET
 from ilctools.logs.reader import read_log
 from ilctools.progress import progress
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.description import RigDescription
 from ilctools.rigs.trial_log import TrialLog, log_path, without_others
 from ilctools.rigs.watch import start_of, warn_once, warnings_of
-from ilctools.signals import dataset
+from ilctools.signals import dataset, points_of, with_points
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
 
-COMPARED_NOTES = (*LAW_KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
+# the notes of what makes the trials
+COMPARED_NOTES = (*LAW_KEYS, RESET, BETWEEN, "excitation", "loop")
 
 
 @dataclass
@@ -38,9 +39,10 @@ class Experiment:
     about: RigDescription
     reference: np.ndarray  # shape (trial, time, output)
     flows: np.ndarray  # commanded to disturbances that are inputs, shape (trial, time, them)
-    following: Callable[[list[Part]], np.ndarray]  # v after these trials
+    following: Callable[[list[Part], np.ndarray], np.ndarray]  # v after these, before a reference
     notes: dict[str, str]  # of what makes the trials
     pause: int | None  # samples between two trials; None: until the outputs are back
+    points: np.ndarray | None = None  # (time, output): where something is asked, if not everywhere
 
     def finish(self, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; the log of all."""
@@ -73,9 +75,10 @@ class Experiment:
         asked = self.reference[: len(log.trial)]
         same = {
             "reference": np.array_equal(log.reference[: len(asked)], asked),
-            "v of trial 1": np.array_equal(log.v[0], self.v_after([])),
+            "v of trial 1": np.array_equal(log.v[0], self.v_after([], self.reference[0])),
             **{key: log.attrs.get(key) == self.notes.get(key) for key in COMPARED_NOTES},
             "disturbances": sources == self.about.signals.disturbances,
+            "points": np.array_equal(points_of(log), self.points),
             "numbers": log.trial.values[-1] == len(log.trial),
         }
         if differing := [what for what, is_same in same.items() if not is_same]:
@@ -84,9 +87,9 @@ class Experiment:
                 "another path, or go on with the same"
             )
 
-    def v_after(self, trials: list[Part]) -> np.ndarray:
-        """v after these trials, with as many digits as are recorded."""
-        return self.about.rounded("v", self.following(trials))
+    def v_after(self, trials: list[Part], upcoming) -> np.ndarray:
+        """v after these trials, before a reference, with as many digits as are recorded."""
+        return self.about.rounded("v", self.following(trials, upcoming))
 
     def go_on(self, past: Past, path: Path | None) -> xr.Dataset:
         """Run the trials that are missing, and leave the rig safe on every way out."""
@@ -151,4 +154,4 @@ class Experiment:
         names = loop.outputs, loop.controls, self.about.signals.disturbances
         learned = () if loop.one_for_one else loop.learned
         log = dataset(loop.Ts, *names, loop.units, learned=learned, **signals)
-        return log.assign_attrs(past.notes)
+        return with_points(log, self.points).assign_attrs(past.notes)

@@ -13,6 +13,8 @@ from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
 from ilctools.filters import Filter, ZeroPhaseButterworth
 from ilctools.law.law import Law
+from ilctools.law.output_limits import OutputLimits
+from ilctools.law.plant_region import PlantRegion
 from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem
@@ -81,10 +83,27 @@ class Synthesis:
         """The design frequencies, rad/s."""
         return self.problem.omega
 
-    def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
-        """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`.
+    def law(self, rest: int = 0, gain: float = 1.0, limits=None, noise=None, model=None) -> Law:
+        """The law (23) with Q and L of the design.
 
         The law keeps what was known of P: trials are judged by that, if their loop has no P.
+
+        Parameters
+        ----------
+        rest, gain :
+            As for :class:`ilctools.Law`.
+        limits : dict, optional
+            Lowest and highest by name, of commands as for :class:`ilctools.Law`, and of outputs:
+            numbers, or one for each sample, shape (time,); None for no limit. Those of outputs are
+            kept in every trial by each plant within the radius of the design; the attribute
+            ``output_limits`` of the law says under which conditions. Without a radius they hold for
+            the model only.
+        noise : dict, optional
+            Of outputs with limits by name, a bound of what does not repeat in each sample: y stays
+            twice as far from its limits.
+        model : control.StateSpace, optional
+            Needed for limits of outputs where P is known by samples: a model, whose distance from
+            the samples is added to their radius.
         """
         problem = self.problem
         if isinstance(problem.lowpass, SampledQ):
@@ -93,7 +112,30 @@ class Synthesis:
             )
         region = in_own_units(problem.response)
         signals = problem.response.signals
-        return Law(self.Q, self.filter, rest, gain, limits, region=region, labels=signals)
+        limits, kept = self._limits_by_kind(limits, noise, model)
+        return Law(
+            self.Q, self.filter, rest, gain, limits,
+            region=region, labels=signals, output_limits=kept,
+        )  # fmt: skip
+
+    def _limits_by_kind(self, limits, noise, model):
+        """Those of commands, None where none is stated, and those of outputs."""
+        outputs, inputs = ([str(name) for name in names] for names in self.problem.response.names)
+        of_outputs = {}
+        if isinstance(limits, dict):
+            of_outputs = {name: ends for name, ends in limits.items() if name in outputs}
+        if both := [name for name in of_outputs if name in inputs]:
+            raise ValueError(
+                f"limits[{both[0]!r}] is the name of an output and of an input: give the inputs "
+                "of P other names"
+            )
+        if not of_outputs:
+            if noise:
+                raise ValueError(f"noise = {noise!r}, but limits has no output, {outputs}")
+            return limits, None
+        of_commands = {name: limits[name] for name in limits if name not in of_outputs}
+        region = PlantRegion.of(self.problem.response, model)
+        return of_commands or None, OutputLimits(of_outputs, noise or {}, region)
 
     def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
         """What the filter does on another plant: the rate, and does it converge?

@@ -35,7 +35,8 @@ from ilctools.evidence.robustness import within_radius
 from ilctools.law.law import Law
 from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units, response_of
-from ilctools.signals import TRIAL_AXES
+from ilctools.signals import ASKED, TRIAL_AXES
+from ilctools.trials.at_limits import limits_not_kept, stands_still
 from ilctools.trials.learn import applied_v
 from ilctools.trials.parts import from_rest_to_rest, successions
 from ilctools.trials.rms import (
@@ -79,20 +80,25 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     Returns
     -------
     dict
-        The first warning of each kind: "growth", "dead" and "model", which "dead" replaces.
+        The first warning of each kind: "growth", "dead" and "model", which "dead" replaces; with
+        limits of outputs "beyond" and "still".
     """
+    at_limits = {"beyond": limits_not_kept(trials, law, first), "still": stands_still(trials, law)}
+    at_limits = {kind: text for kind, text in at_limits.items() if text}
     if law.L is None:
-        return {}
+        return at_limits
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         found = {"growth": _first_finding(error_grows, forgetting(trials, law), first)}
-        for P in [] if exact else known_plants(law):
+        # between points nothing is promised
+        for P in [] if exact or ASKED in trials.coords else known_plants(law):
             with_P = predicted(trials, law, P)
             differs = partial(plant_differs, law, largest_M(law, P))
             found["dead"] = _first_finding(dead_outputs, with_P, first)
             found["model"] = {} if found["dead"] else _first_finding(differs, with_P, first)
             if not (found["dead"] or found["model"]):
                 break
-    return {kind: WARNINGS[kind].format(**values) for kind, values in found.items() if values}
+    texts = {kind: WARNINGS[kind].format(**values) for kind, values in found.items() if values}
+    return texts | at_limits
 
 
 def _first_finding(test, trials, first):

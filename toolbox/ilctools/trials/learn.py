@@ -1,25 +1,88 @@
 """The loop of iterative learning, Section IV, whatever runs the trials: a model or a rig."""
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ilctools import arguments
 from ilctools.law.law import Law
+from ilctools.law.output_step import Step
 from ilctools.law.repetitive import check_period, memory, next_samples
 from ilctools.loop.closed import Loop
+from ilctools.models import from_rest
+from ilctools.trials.points import asking, filled, one_mask
+from ilctools.trials.transfer import first_signal
+
+BETWEEN_TRIALS = ("law", "transfer")  # what makes v where the reference changes
+TRANSFER = BETWEEN_TRIALS[1]
+ROUNDED_PILOT = 1e-3  # of the reference: a rig may take few digits of v
 
 Part = dict[str, np.ndarray]  # signals of a trial, or of a part of one, shape (time, channel)
 
 
-def asked_of(loop: Loop, law: Law, reference, trials: int, v, reset: bool):
-    """The references of all trials (trial, time, m) and v of the first (time, m), checked."""
-    trials = arguments.whole("trials", trials, 1)
-    reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
+class Asked(NamedTuple):
+    """What is asked of trials."""
+
+    law: Law
+    reference: np.ndarray  # (trial, time, p), with numbers between points
+    first: np.ndarray  # v of the first trial, (time, m)
+    points: np.ndarray | None  # (time, p): where something is asked; None: everywhere
+
+
+def asked_of(
+    law: Law, reference, trials: int, v, reset: bool, pilot: float | None, between: str
+) -> Asked:
+    """What is asked of a law, which is bound to its loop; everything is checked."""
+    loop, trials = law.loop, arguments.whole("trials", trials, 1)
+    reference, asked = filled(reference)
+    like = "time", loop.outputs, loop.Ts
+    reference = arguments.each_trial("reference", reference, trials, *like)
+    if asked is not None:
+        asked = one_mask(arguments.each_trial("reference", asked, trials, *like))
+        law = asking(law, asked)
     first = law.first(reference.shape[1], v)
     if not arguments.flag("reset", reset):
         check_period(law, reference.shape[1])
-    return reference, first
+    one = np.array_equal(reference, np.broadcast_to(reference[0], reference.shape))
+    check_between(between, loop, reset)
+    if law.output_limits is not None:
+        _check_output_limits(law, reference, reset, one)
+    if pilot is not None:
+        pilot = arguments.number("pilot", pilot, "a share in (0, 1]", 0, most=1)
+        if v is not None or not loop.one_for_one:
+            raise ValueError(
+                f"pilot = {pilot} is a share of the reference, by v of trial 1: it needs a loop "
+                "whose v is added to references, and no v of your own"
+            )
+    elif v is None and law.output_limits is not None and loop.one_for_one:
+        pilot = law.output_limits.first_share(reference[0])
+    if pilot is not None:
+        first = (pilot - 1) * (reference[0] - reference[0, 0])
+    return Asked(law, reference, first, asked)
+
+
+def check_between(between: str, loop: Loop, reset: bool) -> None:
+    """Refuse what cannot be done between trials of different references."""
+    arguments.choice("between", between, BETWEEN_TRIALS)
+    if between == TRANSFER and not (loop.one_for_one and reset):
+        raise ValueError(
+            "between = 'transfer' needs a v that is added to references, one for each output, and "
+            "a reset before each trial"
+        )
+
+
+def _check_output_limits(law, reference, reset, one):
+    """Refuse, before any trial, what keeps limits of outputs from being kept."""
+    if not reset:
+        raise ValueError("reset = False, but limits of outputs need a start from rest in each")
+    if not one and not law.loop.one_for_one:
+        raise ValueError(
+            "reference changes from trial to trial, and moves outputs by other inputs than v, for "
+            "which nothing is known within a radius: take one, or leave out limits of outputs"
+        )
+    for r in reference[:1] if one else reference:
+        law.output_limits.check_rest(r)
 
 
 def disturbances_of(loop: Loop, disturbance, trials: int, samples: int) -> np.ndarray:
@@ -41,12 +104,13 @@ def learn(
         w_k = r + v_k, or F r + G v_k                                                        (22)
         v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
 
-    `following(parts)` is (23) after these parts, see :func:`next_v`; `respond(w, now)` applies w
-    in the samples `now` of the reference and returns the other signals.
+    `following(parts, upcoming)` is (23) after these parts, see :func:`next_v`, before the upcoming
+    part of the reference; `respond(w, now)` applies w in the samples `now` of the reference and
+    returns the other signals.
     """
     parts, done = [], 0
     while done < len(reference):
-        v = following([*past, *parts])[: len(reference) - done]  # (23)
+        v = following([*past, *parts], reference[done:])[: len(reference) - done]  # (23)
         now = slice(done, done + len(v))
         r = reference[now]
         parts.append({"v": v, "reference": r} | respond(loop.w(r, v), now))  # (22)
@@ -54,20 +118,69 @@ def learn(
     return parts
 
 
-def next_v(law: Law, first: np.ndarray, reset: bool, parts: Sequence[Part]) -> np.ndarray:
-    """v by (23) after these parts; without reset, of the samples that follow from them."""
+def next_v(
+    law: Law,
+    first: np.ndarray,
+    reset: bool,
+    between: str,
+    parts: Sequence[Part],
+    upcoming: np.ndarray | None = None,
+) -> np.ndarray:
+    """v by (23) after these parts; without reset, of the samples that follow from them.
+
+    Between trials of different references it is what :func:`.transfer` predicts from all parts, if
+    `between` says so.
+    """
     if not parts:
         return first
     if reset:
-        parts = parts[-1:]
-    elif not law.known_limits:  # with them what was applied follows from the start on
+        return next_step(law, between, parts, upcoming)[0]
+    if not law.known_limits:  # with them what was applied follows from the start on
         parts = _last(parts, memory(law, len(first)))
     signals = joined(parts)
     e = signals["reference"] - signals["y"]
-    if reset:
-        u = law.loop and law.loop.asked(signals)
-        return law.next(signals["v"], e, u, signals.get("applied"))
     return next_samples(law, applied_v(law, signals), e, first)
+
+
+def next_step(
+    law: Law, between: str, parts: Sequence[Part], upcoming: np.ndarray | None = None
+) -> tuple[np.ndarray, Step | None]:
+    """v of the trial after these, and the step that keeps limits of outputs, if there is one."""
+    *past, now = parts
+    reference, y = now["reference"], now["y"]
+    upcoming = reference if upcoming is None else upcoming[: len(reference)]
+    u = law.loop and law.loop.asked(now)
+    v, applied = law.applied(now["v"], u, now.get("applied"))
+    if law.L is None:
+        return v, None
+    if between == TRANSFER and not np.array_equal(upcoming, reference):
+        applied_to = np.array([applied_v(law, part) for part in parts])
+        others = (np.array([part[name] for part in parts]) for name in ("y", "reference"))
+        target = first_signal(applied_to, *others, upcoming)
+        target[len(target) - law.rest :] = 0
+    else:
+        began = np.zeros_like(v) if past else _pilot(law, now)
+        # whatever the learning gain is, a pilot's share is not kept: as if it had been the whole
+        target = law.unlimited(v - began, reference - y + _effect(law, began))
+    return law.within_limits(target, v, applied, y, (reference, upcoming), past)
+
+
+def _pilot(law, first):
+    """The part of the first v that lowers the reference to a share; zero if it is another v."""
+    v, rise = first["v"], first["reference"] - first["reference"][0]
+    if law.output_limits is None or v.shape != rise.shape or not rise.any():
+        return np.zeros_like(v)
+    less = np.sum(v * rise) / np.sum(rise**2) * rise
+    is_one = np.allclose(v, less, rtol=0, atol=ROUNDED_PILOT * np.abs(rise).max())
+    return less if is_one else np.zeros_like(v)
+
+
+def _effect(law, v):
+    """What the nominal plant makes of v."""
+    if not v.any():
+        return 0.0
+    region = law.output_limits.region
+    return from_rest(region.models[0], v / region.scale.v) * region.scale.y
 
 
 def applied_v(law: Law, signals: Part) -> np.ndarray:

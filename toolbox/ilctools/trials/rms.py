@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.signals import ASKED, points_of, with_points
 
 SMALLEST_DIVISOR = np.finfo(float).tiny  # instead of a zero
 
@@ -11,7 +12,8 @@ SMALLEST_DIVISOR = np.finfo(float).tiny  # instead of a zero
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     """RMS of the error of each trial: root of the mean over time of e'e, summed over channels.
 
-    `e` is a DataArray with the dimensions time and channel, or input, or a dataset of trials or a
+    Of references that ask for points alone, the mean of each output is over those. `e` is a
+    DataArray with the dimensions time and channel, or input, or a dataset of trials or a
     log with reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
 
     See Also
@@ -30,7 +32,7 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     if isinstance(e, xr.Dataset):
         if not {"reference", "y"} <= set(e):
             raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
-        e = e.reference.astype(float) - e.y
+        e = with_points(e.assign(e=e.reference.astype(float) - e.y), points_of(e)).e
     arguments.instance("e", e, xr.DataArray)
     if "time" not in e.dims or not {"channel", "input"} & {*e.dims}:
         raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
@@ -41,7 +43,11 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
 def rms_of(e: xr.DataArray) -> xr.DataArray:
     """RMS(e_k), also of what is not finite."""
     channels = "input" if "input" in e.dims else "channel"
-    return np.sqrt((e.astype(float) ** 2).sum(channels).mean("time"))
+    squares = e.astype(float) ** 2
+    if ASKED in e.coords:  # the mean of each output over its points
+        count = e[ASKED].sum("time")
+        squares = squares * (e.sizes["time"] / count.where(count > 0, 1))
+    return np.sqrt(squares.sum(channels).mean("time")).drop_vars(ASKED, errors="ignore")
 
 
 def harmonics(signals) -> np.ndarray:

@@ -16,13 +16,13 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.law.law import Law
 from ilctools.law.limits import CUT_OFF, commands_beyond
-from ilctools.law.notes import NO_RESET, RESET, with_loop
+from ilctools.law.notes import BETWEEN, NO_RESET, RESET, with_loop
 from ilctools.loop.closed import CurrentTrialLoop, Loop, whole_loop
 from ilctools.models import state_sequence
 from ilctools.progress import PATIENCE, progress
-from ilctools.signals import dataset
+from ilctools.signals import dataset, with_points
 from ilctools.trials.diagnosis import diagnose
-from ilctools.trials.learn import asked_of, disturbances_of, joined, learn, next_v
+from ilctools.trials.learn import TRANSFER, asked_of, disturbances_of, joined, learn, next_v
 from ilctools.trials.start import Start
 from ilctools.warn import warn
 
@@ -39,6 +39,8 @@ def run_trials(
     initial_state=None,
     v=None,
     reset: bool = True,
+    pilot: float | None = None,
+    between: str = "law",
 ) -> xr.Dataset:
     """Simulate trials of a loop under a law: w_k = r + v_k, v_{k+1} = Q (v_k + L e_k).
 
@@ -58,7 +60,10 @@ def run_trials(
     law : Law
         With limits, commands are cut off at them, and the observer is informed of that.
     reference : array_like, shape (time, p) or (trial, time, p)
-        Reference trajectory, of all trials or of each.
+        Reference trajectory, of all trials or of each. NaN stands for nothing that is asked at a
+        sample: the error there is zero, and counts for nothing. It takes an L of
+        :class:`ilctools.NormOptimal`, and a number at the first sample. Where v is added to the
+        reference, that runs on straight lines from point to point.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         In the order of ``loop.disturbances``. Default zero.
     trials : int
@@ -72,13 +77,19 @@ def run_trials(
         State at the start of every trial of the plant that is simulated, unknown to the observer,
         or of P. Default zero.
     v : array_like, shape (time, m), optional
-        ILC signal of the first trial. Default zero.
+        ILC signal of the first trial. Default zero; with limits of outputs what `pilot` says.
     reset : bool
         Whether every trial starts from the initial state. If not, trials are periods of a plant
         that never rests: state and observer go on, and the filters reach across the border, see
         :mod:`ilctools.law.repetitive`. L must be a LearningFilter, ``rest`` zero, a trial longer
         than Q and L look ahead; what they take the `ends` to be has no effect. At limits commands
         are cut off, not projected, and learning goes on from what was applied.
+    pilot : float, optional
+        Share of the reference, above where it begins, that drives trial 1, by its v. Default: with
+        limits of outputs, what P and its radius let through if no disturbance repeats.
+    between : {'law', 'transfer'}
+        How v follows where the reference is another than in the trial before: by the law, or by
+        :func:`ilctools.transfer` from all trials so far.
 
     Returns
     -------
@@ -124,22 +135,25 @@ def run_trials(
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     simulated = _Simulated(loop, plant, law.actuators, initial_state)
-    r, first = asked_of(loop, law, reference, trials, v, reset)
+    law, r, first, points = asked_of(law, reference, trials, v, reset, pilot, between)
     d = disturbances_of(loop, disturbance, *r.shape[:2])
     if not simulated.ours and d.any():
         raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
     noise = np.zeros(r.shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
 
-    following = partial(next_v, law, first, reset)
+    following = partial(next_v, law, first, reset, between)
     signals = _learned(simulated, following, reset, r, d, noise)
     names = loop.outputs, loop.controls, loop.disturbances
     learned = () if loop.one_for_one else loop.learned
     result = dataset(loop.Ts, *names, loop.units, learned=learned, **signals, disturbance=d)
+    result = with_points(result, points)
     if learned:  # which of the inputs take a reference, too, nothing else says
         result = with_loop(result, loop)
     if not reset:
         result.attrs[RESET] = NO_RESET
+    if between == TRANSFER:
+        result.attrs[BETWEEN] = between
     for text in _warnings(result, law, plant is None, reset and initial_state is None):
         warn(text)
     return result

@@ -162,6 +162,11 @@ def _signals(trials):
     return *(np.concatenate(of_all(name)) for name in signals), outputs
 
 
+def first_signal(v, y, references, reference) -> np.ndarray:
+    """v for a reference (time, m), from signals of trials, (trial, time, m)."""
+    return _fitted(v, y, references, reference).v
+
+
 def _fitted(v, y, references, reference):
     """F and c of trials, (trial, time, m), and what they make of another reference, (time, m)."""
     _, samples, m = y.shape

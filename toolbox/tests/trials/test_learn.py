@@ -16,7 +16,7 @@ def test_a_reference_is_learned_in_parts_as_long_as_their_v():
         return {"y": 2 * w}
 
     loop = ClosedLoop(Ts=1.0, outputs=["y"])
-    v_after = lambda past: np.full((4, 1), len(past))  # noqa: E731
+    v_after = lambda past, upcoming: np.full((4, 1), len(past))  # noqa: E731
     parts = learn(loop, respond, v_after, REFERENCE, past=[{}])
     assert asked == [(0, 4), (4, 8), (8, 10)]
     y = np.concatenate([part["y"] for part in parts])
@@ -27,7 +27,7 @@ def test_a_reference_is_learned_in_parts_as_long_as_their_v():
 def test_after_a_reset_v_follows_from_the_last_trial_alone():
     law = Law(zero_phase_butterworth(2, 0.3, 1.0), LearningFilter([[[0.5]]], 1.0))
     first = np.ones((10, 1))
-    assert next_v(law, first, True, []) is first
+    assert next_v(law, first, True, "law", []) is first
     last = {"v": first, "reference": REFERENCE, "y": 0.3 * REFERENCE}
     expected = law.Q.apply(first + law.L.apply(0.7 * REFERENCE))  # (23)
-    np.testing.assert_allclose(next_v(law, first, True, [{}, last]), expected)
+    np.testing.assert_allclose(next_v(law, first, True, "law", [{}, last]), expected)

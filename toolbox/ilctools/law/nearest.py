@@ -1,0 +1,107 @@
+"""The least change of a signal that brings commands and outputs within their limits.
+
+    minimise    sum_p errors(p)' y(p)^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
+    subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
+                low <= K x + N z <= high               for rows K, N of commands or of outputs
+
+The program has the stages of the loop, one for each sample; PIQP solves it.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import control
+import numpy as np
+from scipy import sparse
+
+from ilctools.models import balanced, dynamics_on_trial, on_trial
+
+try:
+    import piqp
+except ImportError:  # which not every platform has
+    piqp = None
+
+# of PIQP's systems: with its own 1e-10 rounding may keep it from an end
+LEAST_REGULARISATION = 1e-8
+
+
+class Rows(NamedTuple):
+    """Limits low <= K x + N z <= high, in the first samples of a trial."""
+
+    K: np.ndarray  # (rows, states)
+    N: np.ndarray  # (rows, m)
+    low: np.ndarray  # (time, rows), which may be infinite
+    high: np.ndarray
+
+
+class Norm(NamedTuple):
+    """What a change costs: sum errors y^2 + change sum z^2."""
+
+    change: float
+    errors: np.ndarray | float = 1.0  # (time, p)
+
+    @classmethod
+    def of(cls, L) -> "Norm":
+        """That in which an operator learns."""
+        return cls(L.weight_of_change, getattr(L, "weight_of_errors", 1.0))
+
+    def size(self, y, z) -> float:
+        """That of signals (time, p) and (time, m)."""
+        return float(np.sum(self.errors * y**2) + self.change * np.sum(z**2))
+
+
+class NotFound(RuntimeError):
+    """There is no signal within the limits, or the solver finds none."""
+
+
+def nearest(
+    P: control.StateSpace,
+    norm: Norm,
+    samples: int,
+    active: int,
+    limited: Sequence[Rows],
+    unit: float,
+) -> np.ndarray:
+    """The least change z, (active, m); `unit` is how large it may be, in which its cost is one.
+
+    The solver's tolerances are absolute. Limits that z does not move count for nothing.
+    """
+    cost, dynamics, matrix = _program(P, norm, samples, active, limited)
+    low, high = (
+        np.concatenate([getattr(rows, end).ravel() / unit for rows in limited])
+        for end in ("low", "high")
+    )
+    moved = np.diff(matrix.indptr) > 0  # by v; others are cut off if they must be
+    bounded = moved & (np.isfinite(low) | np.isfinite(high))
+
+    solver = piqp.SparseSolver()
+    solver.settings.reg_lower_limit = LEAST_REGULARISATION
+    solver.setup(
+        cost.tocsc(), np.zeros(cost.shape[0]), dynamics, np.zeros(dynamics.shape[0]),
+        matrix[bounded].tocsc(), low[bounded], high[bounded],
+    )  # fmt: skip
+    status = solver.solve()
+    if status != piqp.PIQP_SOLVED:
+        raise NotFound(
+            f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
+            "the loop's signals of very different sizes?"
+        )
+    return unit * solver.result.x[-active * P.ninputs :].reshape(active, -1)
+
+
+def _program(P, norm, samples, active, limited):
+    """Of all x, then of all z before the rest: the cost / weight, the dynamics, the limited."""
+    n, p, m = P.nstates, P.noutputs, P.ninputs
+    A, B, C = balanced(P, *(rows.K for rows in limited))  # else feasible programs may fail
+    moving = slice(samples * n + active * m)  # z is zero in the rest
+    y = on_trial(samples, C[:p], P.D)[:, moving]
+    dynamics = dynamics_on_trial(samples, A, B)[:, moving]
+    ends = np.cumsum([p, *(len(rows.K) for rows in limited)])
+    matrix = [
+        on_trial(samples, C[begin:end], rows.N)[: rows.low.size, moving]
+        for begin, end, rows in zip(ends, ends[1:], limited, strict=False)
+    ]
+    of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
+    of_y = np.broadcast_to(norm.errors, (samples, p)).ravel() / norm.change
+    cost = y.T @ sparse.diags_array(of_y) @ y + sparse.diags_array(of_z)
+    return cost, dynamics, sparse.vstack(matrix).tocsr()

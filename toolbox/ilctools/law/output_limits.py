@@ -1,0 +1,281 @@
+"""Limits of outputs that every trial keeps: what is stated of them, and what is promised."""
+
+import reprlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import control
+import numpy as np
+from scipy.linalg import block_diag
+
+from ilctools import arguments
+from ilctools.law.error_bound import ErrorBound
+from ilctools.law.nearest import Norm, Rows, nearest
+from ilctools.law.output_step import PAST, Done, Plant, Room, Spread, Step, longest_step
+from ilctools.law.plant_region import PlantRegion
+from ilctools.response.scale import Scale
+
+
+class Commands(NamedTuple):
+    """Limits of commands, which follow from what drives P as the outputs of a model do."""
+
+    model: control.StateSpace  # from w to commands, in their own units
+    ends: tuple[np.ndarray, np.ndarray]  # low and high of their change, (active, commands)
+
+    def model_in(self, scale: Scale) -> control.StateSpace:
+        """From w in units of `scale`."""
+        P, S = self.model, np.diag(scale.v)
+        return control.ss(P.A, P.B @ S, P.C, P.D @ S, P.dt)
+
+
+Limit = tuple[float | np.ndarray, float | np.ndarray]  # lowest and highest; infinite: none
+MOST_PLANTS = 3  # of a list in a program: those that leave least room; (6) takes all
+
+
+@dataclass(frozen=True, eq=False)
+class OutputLimits:
+    """Limits of outputs, and what is known of the plant that is to keep them.
+
+    Made by ``design.law(limits=..., noise=...)``; print it for what it promises. How they are kept:
+    :mod:`.output_step`.
+
+    Attributes
+    ----------
+    limits : dict
+        Lowest and highest of outputs by name, in their units: numbers or one for each sample.
+    noise : dict
+        By name, a bound of what does not repeat in each sample, n.
+    region : PlantRegion
+    """
+
+    limits: dict[str, Limit]
+    noise: dict[str, float]
+    region: PlantRegion
+
+    def __post_init__(self):
+        outputs = self.region.outputs
+        limits = arguments.by_name("limits", self.limits, outputs)
+        noise = arguments.by_name("noise", self.noise, outputs)
+        vars(self).update(
+            limits={name: _limit(f"limits[{name!r}]", ends) for name, ends in limits.items()},
+            noise={
+                name: arguments.not_negative(f"noise[{name!r}]", n) for name, n in noise.items()
+            },
+        )
+
+    @cached_property
+    def n(self) -> np.ndarray:
+        """Bound of what does not repeat, of each output, (p,)."""
+        return np.array([self.noise.get(name, 0.0) for name in self.region.outputs])
+
+    def ends(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest of all outputs, (time, p)."""
+        ends = np.empty((2, samples, len(self.region.outputs)))
+        ends[0], ends[1] = -np.inf, np.inf
+        for i, name in enumerate(self.region.outputs):
+            for end, value in zip(ends, self.limits.get(name, ()), strict=False):
+                if np.ndim(value) and len(value) != samples:
+                    raise ValueError(
+                        f"limits[{name!r}] has {len(value)} samples, but a trial has {samples}"
+                    )
+                end[:, i] = value
+        return ends[0], ends[1]
+
+    def check_rest(self, reference) -> None:
+        """Refuse limits that trials break where they begin, at the reference's first sample."""
+        low, high = self.ends(len(reference))
+        for i, name in enumerate(self.region.outputs):
+            rest, n = reference[0, i], self.n[i]
+            if not low[0, i] + 2 * n <= rest <= high[0, i] - 2 * n:
+                raise ValueError(
+                    f"limits[{name!r}] = {self._in_words(name)} leave no room where trials begin, "
+                    f"at the reference's {rest:.6g}" + (f", with noise {n:.6g}" if n else "")
+                )
+
+    def distance(self, y) -> np.ndarray:
+        """How far outputs (time, p) stay from their limits, (p,): below zero they are beyond."""
+        low, high = self.ends(len(y))
+        return np.minimum(high - y, y - low).min(axis=0)
+
+    def beyond(self, y) -> np.ndarray:
+        """By how much outputs (time, p) are beyond their limits, at most, (p,)."""
+        return np.maximum(-self.distance(y), 0)
+
+    def room(self, y) -> Room:
+        """(6), after a trial with the outputs y."""
+        low, high = self.ends(len(y))
+        return Room(y - low - 2 * self.n, high - 2 * self.n - y)
+
+    def first_share(self, reference) -> float:
+        """What share of a reference (time, p) P and its radius let through from rest."""
+        scale = self.region.scale
+        w = (reference - reference[0]) / scale.v
+        room = self.room(np.broadcast_to(reference[0], reference.shape))
+        room = Room(*(side / scale.y + self.n / scale.y for side in room))  # noise counts once
+        return min(
+            room.share(plant.spread(w, Done(w, 0 * w), [], self.n)).min()
+            for plant in self.plants(len(w))
+        )
+
+    def safe_share(self, y) -> float:
+        """What share of what drove a trial (time, p) from rest would have kept the limits.
+
+        It holds for all linear plants, if no disturbance repeats:  high - n >= y_0 + b (y + n -
+        y_0).
+        """
+        low, high = self.ends(len(y))
+        moves = y - y[0]
+        room = Room(y[0] - low - self.n, high - self.n - y[0])
+        return float(room.share(Spread(moves - self.n, moves + self.n)).min())
+
+    def plants(self, samples: int) -> list[Plant]:
+        """On trials of so many samples."""
+        if samples not in self._plants:
+            bounds = [ErrorBound(self.region.angles, r, samples) for r in self.region.radii]
+            self._plants[samples] = [*map(Plant, self.region.models, bounds)]
+        return self._plants[samples]
+
+    @cached_property
+    def _plants(self) -> dict[int, list[Plant]]:
+        return {}
+
+    def step(
+        self,
+        wanted: np.ndarray,
+        now: Done,
+        past: Sequence[Done],
+        norm: Norm,
+        active: int,
+        commands: Commands | None = None,
+    ) -> Step:
+        """The change of what drives P that is taken instead of the law's, :mod:`.output_step`.
+
+        Parameters
+        ----------
+        wanted : ndarray, shape (time, m)
+            The law's change.
+        now, past : Done, sequence of Done
+            The trial that has just ended, and those before, the last one last.
+        norm : Norm
+            In units of `scale`, of (7).
+        active : int
+            Number of samples before the rest, in which a program may choose the change.
+        commands : Commands, optional
+            Limits of commands, which hold for what programs find.
+        """
+        scale, plants = self.region.scale, self.plants(len(wanted))
+        down, up = self.room(now.y)
+        room = Room(down / scale.y, up / scale.y)
+        now, *past = (Done(w / scale.v, y / scale.y) for w, y in (now, *past[-PAST:]))
+        wanted, noise = wanted / scale.v, self.n / scale.y
+
+        def cost(d):  # (7)
+            return norm.size(plants[0].output(d - wanted), d - wanted)
+
+        def program(spreads, theta):
+            least = [room.share(spread).min() for spread in spreads]
+            some = np.union1d(0, np.argsort(least)[:MOST_PLANTS])  # the nominal one has the cost
+            asked = [(plants[k].model, _tightened(room, spreads[k], theta)) for k in some]
+            if commands is not None:
+                asked.append((commands.model_in(scale), commands.ends))
+            P, rows = _beside(asked)
+            size = np.abs(wanted).max()
+            z = np.zeros_like(wanted)
+            z[:active] = nearest(P, norm, len(z), active, rows, size)
+            return wanted + z
+
+        step = longest_step(plants, room, wanted, now, past, noise, cost, program)
+        unit = scale.y[step.output]
+        return step._replace(
+            change=step.change * scale.v, room=step.room * unit, error=step.error * unit
+        )
+
+    def _in_words(self, name):
+        """Its limits, of a signal that changes with time the least distance."""
+        low, high = ("changing" if np.ndim(end) else end for end in self.limits[name])
+        return f"({low}, {high})"
+
+    @property
+    def promise(self) -> str:
+        """What is kept, and under which conditions."""
+        lines = [self._promise_of(name) for name in self.limits]
+        region = self.region
+        if region.exact:
+            some = "the model" if len(region.models) == 1 else "each of the models"
+            lines.append(
+                f"This holds for {some} only, of which nothing says how wrong it is: pass "
+                "`uncertainty` to synthesise, or a measured P"
+            )
+        else:
+            sure = ", which is there with a probability of 99 %" if region.estimated else ""
+            lines.append(f"This holds for every stable linear plant within the radius{sure}")
+        lines[-1] += (
+            "; if trials start alike, disturbances repeat and no command is cut off. "
+            + "; ".join(
+                f"n = {self.noise.get(name, 0):.6g} bounds what does not repeat in {name} in each "
+                "sample, noise included"
+                for name in self.limits
+            )
+        )
+        return "\n".join(lines)
+
+    def _promise_of(self, name):
+        sides = [("below", self.limits[name][1], "-"), ("above", self.limits[name][0], "+")]
+        stated = [side for side in sides if np.any(np.isfinite(side[1]))]
+        n = self.noise.get(name, 0)
+        stays = " and ".join(f"{side} {_number(end)}" for side, end, _ in stated)
+        was = " and ".join(
+            f"{side} {_number(end)}" + (f" {sign} 2 n" if n else "") for side, end, sign in stated
+        )
+        return (
+            f"{name}, as measured, stays {stays} in every trial that follows one in which it was "
+            f"measured {was}"
+        )
+
+    def __repr__(self):
+        return self.promise
+
+
+def _number(end):
+    return "its limit of each sample" if np.ndim(end) else f"{end:.6g}"
+
+
+def _limit(name: str, ends) -> Limit:
+    """Check the lowest and the highest of an output; None stands for no limit."""
+    if not (isinstance(ends, list | tuple | np.ndarray) and len(ends) == 2):
+        raise ValueError(f"{name} = {reprlib.repr(ends)} must be a lowest and a highest value")
+    low, high = (
+        infinite if end is None else _end(name, end)
+        for end, infinite in zip(ends, (-np.inf, np.inf), strict=True)
+    )
+    if np.ndim(low) and np.ndim(high) and len(low) != len(high):
+        raise ValueError(f"{name} has {len(low)} samples below, but {len(high)} above")
+    if not np.all(low < high):
+        raise ValueError(f"{name} = {reprlib.repr(ends)} must be a lower and a higher value")
+    return low, high
+
+
+def _end(name, end):
+    """One end of limits: a number, or one for each sample."""
+    end = np.asarray(end, dtype=float) if np.ndim(end) < 2 else end
+    if np.ndim(end) > 1 or np.isnan(end).any():
+        raise ValueError(f"{name} must hold None, a number or one for each sample, (time,)")
+    return end if end.ndim else float(end)
+
+
+def _tightened(room: Room, spread: Spread, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    """From where to where outputs may move from what is expected of the law's change."""
+    margin = theta * spread.radius
+    return margin - room.down - spread.middle, room.up - margin - spread.middle
+
+
+def _beside(asked) -> tuple[control.StateSpace, list[Rows]]:
+    """Models of one input as one, with the first one's outputs, and the rows of each, limited."""
+    models, ends = zip(*asked, strict=True)
+    A, C = block_diag(*(P.A for P in models)), block_diag(*(P.C for P in models))
+    B, D = np.vstack([P.B for P in models]), np.vstack([P.D for P in models])
+    rows = np.split(np.arange(len(C)), np.cumsum([P.noutputs for P in models])[:-1])
+    P = control.ss(A, B, C[rows[0]], D[rows[0]], models[0].dt)
+    return P, [Rows(C[at], D[at], *limits) for at, limits in zip(rows, ends, strict=True)]

@@ -1,0 +1,64 @@
+"""Plants as they are known in time: models, and how far each may be off at each frequency."""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from ilctools.models import frequency_response
+from ilctools.response.door import in_all_directions
+from ilctools.response.response import Response
+from ilctools.response.scale import Scale
+from ilctools.signals import check_match
+from ilctools.singular_values import largest_singular_values
+
+POINTS = 2048  # frequencies at which a model is compared with samples, beside their own
+
+
+@dataclass(frozen=True, eq=False)
+class PlantRegion:
+    """Models P_k, and radii r_k: the plant is one of P_k + Delta, ||Delta(omega)|| <= r_k(omega).
+
+    P, Delta and the radii are in units of `scale`. The radii run along straight lines over omega,
+    and are held below the first frequency and above the last.
+    """
+
+    models: tuple[control.StateSpace, ...]
+    angles: np.ndarray  # omega Ts, (n,)
+    radii: np.ndarray  # (plants, n)
+    scale: Scale
+    outputs: list[str]
+    inputs: list[str]
+    estimated: bool = False  # whether the radius is that of an estimate, with its confidence
+
+    @classmethod
+    def of(cls, response: Response, model: control.StateSpace | None) -> "PlantRegion":
+        """That of a design's response; of one known by samples, about a model of it.
+
+        The distance of the model from the samples is added to their radius.
+        """
+        response = in_all_directions(response)
+        scale, omega = response.scale, response.omega
+        if not response.sampled:
+            models, radii = response.models, np.tile(response.radii, (len(response.models), 1))
+        elif model is None or len(response.models) > 1:
+            raise ValueError(
+                "model = None, but P is known by samples, and limits of outputs need a model in "
+                "time of one plant: pass one, such as loop.P, or P.model() of a measured P"
+            )
+        else:
+            check_match(model=model, P=response.signals)
+            S, R = np.diag(scale.v), np.diag(1 / scale.y)
+            models = (control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt),)
+            omega = np.union1d(omega, np.linspace(0, np.pi / response.Ts, POINTS))
+            P, radius = response.anywhere(0, omega)
+            off = largest_singular_values(P - frequency_response(models[0], omega))
+            radii = (radius + off)[None]
+        outputs, inputs = ([str(name) for name in names] for names in response.names)
+        estimated = response.low is not None
+        return cls(models, omega * response.Ts, radii, scale, outputs, inputs, estimated)
+
+    @property
+    def exact(self) -> bool:
+        """Whether P is taken to be one of the models."""
+        return not self.radii.any()

@@ -1,0 +1,56 @@
+"""What trials show of limits of outputs: one was not kept, or learning stands still at one."""
+
+import numpy as np
+import xarray as xr
+
+from ilctools.law.law import Law
+from ilctools.models import from_rest
+from ilctools.trials.learn import applied_v, next_step
+from ilctools.trials.parts import parts_of
+
+STILL = 3  # trials in succession, each with
+LITTLE = 0.01  # of the law's own change or less,
+WORTH_IT = 1.2  # where that would divide the error by more than this
+
+
+def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
+    """Which output was first beyond its limit, from the trial `first` on, and what follows."""
+    kept = law.output_limits
+    if kept is None:
+        return ""
+    for k, y in enumerate(trials.y.values):
+        distance = kept.distance(y)
+        if k >= first - 1 and distance.min() < 0:
+            name, number = kept.region.outputs[distance.argmin()], trials.trial.values[k]
+            return (
+                f"{name} was beyond its limit by {-distance.min():.3g} in trial {number}: from "
+                f"rest, {kept.safe_share(y):.2f} of what drove this trial would have kept it, and "
+                "drives the next one. Is trial 1 a smaller share of the reference (pilot), did a "
+                "disturbance come, or is the plant not linear?"
+            )
+    return ""
+
+
+def stands_still(trials: xr.Dataset, law: Law) -> str:
+    """Whether the last trials made next to nothing of what the law would change, and why."""
+    kept, parts = law.output_limits, parts_of(trials)[-STILL - 1 :]
+    alike = all(np.array_equal(part["reference"], parts[0]["reference"]) for part in parts)
+    if kept is None or law.L is None or len(parts) <= STILL or not alike:
+        return ""
+    v = [applied_v(law, part) for part in parts]
+    for k, part in enumerate(parts[:-1]):
+        e = part["reference"] - part["y"]
+        wanted = law.unlimited(v[k], e) - v[k]
+        made = np.sum((v[k + 1] - v[k]) * wanted) > LITTLE * np.sum(wanted**2)
+        P, scale = kept.region.models[0], kept.region.scale
+        after = e - from_rest(P, wanted / scale.v) * scale.y
+        if made or np.linalg.norm(e) <= WORTH_IT * np.linalg.norm(after):
+            return ""
+    _, step = next_step(law, "law", parts[:-1])
+    if step is None:
+        return ""
+    return (
+        f"learning stands still at the limit of {kept.region.outputs[step.output]}: the model's "
+        f"error may add {step.error:.3g}, and the room is {step.room:.3g}. Take more distance from "
+        "the limit, or a smaller radius, by a longer excitation"
+    )

@@ -1,0 +1,72 @@
+"""References that ask for something at some samples only: NaN stands for nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from ilctools.law.law import Law
+from ilctools.norm_optimal import NormOptimal
+
+
+def filled(reference):
+    """A reference, shape (..., time, p), with numbers for NaN, and where they were not there.
+
+    Labels are kept. What is driven between points where v is added to the reference runs on
+    straight lines from point to point, and is held after the last. Without NaN both are as they
+    are, and None.
+    """
+    values = np.array(reference, dtype=float) if _may_hold_numbers(reference) else np.zeros(0)
+    absent = np.isnan(values)
+    if not absent.any():
+        return reference, None
+    columns = values if values.ndim > 1 else values[:, None]
+    flat = np.moveaxis(columns, -2, -1).reshape(-1, columns.shape[-2])  # a row for each signal
+    time = np.arange(flat.shape[1])
+    for row in flat:
+        if np.isnan(row[0]):
+            raise ValueError(
+                "reference begins with NaN, but must say where each output is when a trial begins: "
+                "give its first sample a number"
+            )
+        there = ~np.isnan(row)
+        row[:] = np.interp(time, time[there], row[there])
+    shape = *columns.shape[:-2], columns.shape[-1], columns.shape[-2]
+    values = np.moveaxis(flat.reshape(shape), -1, -2).reshape(values.shape)
+    return _like(reference, values), _like(reference, (~absent).astype(float))
+
+
+def _may_hold_numbers(reference):
+    try:
+        np.asarray(reference, dtype=float)
+    except (TypeError, ValueError):  # which the door of references refuses in words
+        return False
+    return np.ndim(reference) > 0
+
+
+def _like(labelled, values):
+    """Values with the labels of a signal."""
+    if isinstance(labelled, pd.DataFrame):
+        return pd.DataFrame(values, labelled.index, labelled.columns)
+    return labelled.copy(data=values) if isinstance(labelled, xr.DataArray) else values
+
+
+def one_mask(asked) -> np.ndarray:
+    """Where something is asked, (time, p), of all trials (trial, time, p), which must agree."""
+    if np.any(asked != asked[0]):
+        raise ValueError("reference must have NaN at the same samples of all trials")
+    return asked[0] > 0
+
+
+def asking(law: Law, asked: np.ndarray) -> Law:
+    """The law with an L that leaves out what is not asked, (time, p)."""
+    if law.L is None:
+        return law
+    if not isinstance(law.L, NormOptimal):
+        raise ValueError(
+            f"reference has NaN at {np.mean(~asked):.0%} of the samples, where nothing is asked, "
+            "but L learns from all: take L = NormOptimal(P, weight, samples)"
+        )
+    errors = asked if law.L.errors is None else law.L.errors * asked
+    return replace(law, L=replace(law.L, errors=errors))
