@@ -14,7 +14,7 @@ from ilctools.models import Model, balanced, frequency_response, sampled_plant
 from ilctools.riccati import TrialLeastSquares
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NormOptimal:
     """L = (P_N^T W P_N + weight I)^-1 P_N^T W, for trials of N samples.
 
@@ -79,7 +79,7 @@ class NormOptimal:
             vars(self)["errors"] = self._checked_errors()
 
     def _checked_errors(self):
-        errors = np.asarray(self.errors)
+        errors = np.asarray(self.errors) * 1.0  # also of a mask
         errors = errors[:, None] if errors.ndim == 1 else errors
         errors = arguments.array("errors", errors, (self.samples, self.columns))
         if errors.min() < 0 or not errors.any():

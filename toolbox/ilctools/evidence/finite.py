@@ -14,6 +14,7 @@ from ilctools import arguments
 from ilctools.evidence.worst_trial import largest_trial_norm
 from ilctools.filters import Filter, LearningFilter, ZeroPhaseButterworth
 from ilctools.models import Model, impulse_response, sampled_plant
+from ilctools.norm_optimal import NormOptimal
 from ilctools.signals import check_match
 
 SETTLED = 0.02  # of a disturbance
@@ -65,7 +66,7 @@ def trial_operators(
     """
     P = sampled_plant(P, "P")
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    m, p = arguments.instance("L", L, Filter).rows, L.columns
+    m, p = arguments.instance("L", L, Filter | NormOptimal).rows, L.columns
     if (P.noutputs, P.ninputs) != (p, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {p}")
     check_match(P=P, L=L, Q=Q)

@@ -22,6 +22,7 @@ from ilctools.law.limits import LimitsOf, named_limits
 from ilctools.law.output_limits import OutputLimits
 from ilctools.law.plant_region import PlantRegion
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
+from ilctools.norm_optimal import NormOptimal
 from ilctools.pooled import isometry
 from ilctools.response.scale import Scale
 from ilctools.signals import Signals, check_match
@@ -100,8 +101,8 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 
 
 def is_newer(note: str) -> bool:
-    """Whether a note says what the first format cannot: L looks back, or has a base."""
-    return '"first":' in note
+    """Whether a note says what the first format cannot: L looks back, has a base, is no filter."""
+    return '"first":' in note or '"samples":' in note
 
 
 def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
@@ -110,6 +111,8 @@ def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
     if L is None or isinstance(L, Filter):
         notes["L"] = L and _filter_note(L)
+    if isinstance(L, NormOptimal):
+        notes["L"] = {part.name: getattr(L, part.name) for part in fields(L)}
     kept = law.output_limits and _limits_note(law.output_limits)
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits, "outputs": kept}
     return notes | {key: value for key, value in others.items() if value != usual[key]}
@@ -172,6 +175,8 @@ def _law_from(Ts, Q, L, rest, step, actuators, outputs):
 
 
 def _filter_from(Ts, base=None, K_first=True, **taps):
+    if "samples" in taps:
+        return NormOptimal(**taps | {"P": model_from(taps["P"])})
     K = LearningFilter(Ts=Ts, **taps)
     if base is None:
         return K
@@ -252,7 +257,7 @@ def save_law(path, law: Law, note: str = "") -> None:
         Other keys are refused where it is read; of the sections, only docs/law.c checks that they
         are those of Q: who changes Q by hand saves the law anew.
     law : Law
-        L must be a LearningFilter, or B K of a design. The loop is not written.
+        L must be a LearningFilter, B K of a design, or a NormOptimal. The loop is not written.
     note : str
         What made it, for those who read the file.
 
@@ -270,7 +275,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     True
     """
     path = arguments.path("path", path)
-    arguments.instance("L", arguments.instance("law", law, Law).L, Filter)
+    arguments.instance("L", arguments.instance("law", law, Law).L, Filter | NormOptimal)
     arguments.instance("note", note, str)
     notes = law_notes(law)
     number = is_newer(text_of(notes)) if law.rows == law.columns else 2

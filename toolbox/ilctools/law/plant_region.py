@@ -58,6 +58,19 @@ class PlantRegion:
         estimated = response.low is not None
         return cls(models, omega * response.Ts, radii, scale, outputs, inputs, estimated)
 
+    sampled = False  # the next are as those of a Response, in the plants' own units
+
+    @property
+    def radius(self) -> np.ndarray | None:
+        """That of the nominal plant, (n,); None if P is one of the models."""
+        return None if self.exact else self.radii[0] / self.scale.of_P.min()
+
+    def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
+        """P (k, p, m) of a plant, and the radius (k,), at any frequencies, rad/s."""
+        model, back = self.models[plant], self.scale.inverse.of_P
+        radius = np.interp(omega * model.dt, self.angles, self.radii[plant])
+        return frequency_response(model, omega) * back, radius * back.max()
+
     @property
     def exact(self) -> bool:
         """Whether P is taken to be one of the models."""

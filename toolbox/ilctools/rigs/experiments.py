@@ -11,6 +11,7 @@ from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, BETWEEN, NO_RESET, RESET, with_law
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
+from ilctools.norm_optimal import NormOptimal
 from ilctools.rigs.description import RigDescription, described
 from ilctools.rigs.protocol import Rig
 from ilctools.rigs.trial_by_trial import Experiment
@@ -59,8 +60,8 @@ def record(
     law : Law
         Commands without limits in it have those of the rig; ``limits={}`` leaves all out: then the
         rig cuts off what it must, which is warned of, and the law (23) does not know. Commands are
-        cut off at the limits of the law, and the observer is informed of that. A log can name no
-        other L than a LearningFilter or the B K of a design.
+        cut off at the limits of the law, and the observer is informed of that. A log can name an L
+        that is a LearningFilter, the B K of a design or a NormOptimal.
     reference, trials :
         As for :func:`ilctools.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
@@ -151,7 +152,7 @@ def record(
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     if path is not None and law.L is not None:
-        arguments.instance("L", law.L, Filter)  # or the log could not note it
+        arguments.instance("L", law.L, Filter | NormOptimal)  # or the log could not note it
     law, reference, first, points = asked_of(law, reference, trials, v, reset, pilot, between)
     about = described(rig, loop, reference, law, stop, decimals, goes_on=not reset)
     law, pause = about.law, _checked_pause(pause, about)

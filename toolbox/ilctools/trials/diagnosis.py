@@ -61,7 +61,7 @@ ROUNDED_ERROR = 1e-9  # relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
-def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) -> dict[str, str]:
+def diagnose(trials: xr.Dataset, law: Law, first: int = 1, exact: bool = False) -> dict[str, str]:
     """What the signals of trials say against the convergence of the law that made them.
 
     Parameters
@@ -173,7 +173,7 @@ def known_plants(law: Law) -> list[Callable]:
     These are the plants of the design, if it knew more than one exact model; else the loop's P;
     else the model of the design; else, of a law that was read from a file, the model in its L.
     """
-    region, model = law.region, getattr(law.loop, "P_v", None)
+    region, model = _region(law), getattr(law.loop, "P_v", None)
     if region is None and model is None:
         model = model_in(law.L)
     alone = region is None or (
@@ -183,6 +183,11 @@ def known_plants(law: Law) -> list[Callable]:
         region = in_own_units(response_of(model, GRID / law.Ts))
     count = 0 if region is None else len(region.models)
     return [partial(region.anywhere, k) for k in range(count)]
+
+
+def _region(law):
+    """The plants of the design of a law, which a file names with limits of outputs alone."""
+    return law.region or (law.output_limits and law.output_limits.region)
 
 
 def model_in(L) -> control.StateSpace | None:
@@ -205,7 +210,7 @@ def model_in(L) -> control.StateSpace | None:
 
 def plant_error(law: Law) -> float:
     """Relative error of P that is no news: none if the loop's P or a radius says what P is."""
-    model, radius = getattr(law.loop, "P_v", None), getattr(law.region, "radius", None)
+    model, radius = getattr(law.loop, "P_v", None), getattr(_region(law), "radius", None)
     return PLANT_ERROR if model is None and radius is None else 0.0
 
 

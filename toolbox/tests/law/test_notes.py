@@ -18,6 +18,7 @@ from ilctools import (
     run_trials,
     save_law,
     save_log,
+    synthesise,
     zero_phase_butterworth,
 )
 from ilctools.errors import LogError
@@ -151,8 +152,12 @@ def test_what_is_usual_is_not_noted(loop, Q):
     assert plain.attrs.keys() == {"Ts", "Q", "L"}  # defaults are not written
     assert law_of(plain).L is None and law_of(plain).loop is None
     assert law_of(trials) is None
-    operator = NormOptimal(loop.P, 1.0, 30)  # has no coefficients to write
-    assert law_of(with_law(trials, Law(Q, operator))) is None
+    base = synthesise(loop, Q).filter.B  # alone, it is no filter of a design
+    assert law_of(with_law(trials, Law(Q, base))) is None
+    operator = NormOptimal(loop.P, 1.0, 30, errors=np.eye(30, 2) + 0.5)
+    noted = law_of(with_law(trials, Law(Q, operator))).L
+    e = np.random.default_rng(0).normal(size=(30, 2))
+    np.testing.assert_allclose(noted.apply(e), operator.apply(e), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The first trial of another task, against plants whose inverse is known, and on many others."""
 
+import warnings
 from functools import partial
 
 import control
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants import PUMPS, altered, tanks
+from plants import PUMPS, altered, axes, lag, lags, tanks
 
 from ilctools import (
     ClosedLoop,
@@ -15,11 +16,14 @@ from ilctools import (
     NormOptimal,
     current_trial_loop,
     load_log,
+    replay,
     run_trials,
     save_log,
+    synthesise,
     transfer,
     zero_phase_butterworth,
 )
+from ilctools.law.notes import with_law
 from ilctools.trials.rms import rms
 from ilctools.trials.transfer import ROUNDED_POWER, _Fits
 
@@ -186,3 +190,35 @@ def test_what_a_fit_misses_below_rounding_makes_it_no_more_likely(seed):
     assert abs(np.diff(faint)) < len(Phi) * 10 * np.finfo(float).eps / ROUNDED_POWER
     strong = fits.likelihood(1.0, 1.0, 1e-3)[0]
     assert strong < min(faint) - 10  # which misses 1e-6 of the power, far above rounding
+
+
+@pytest.mark.parametrize("P", [lag(0.8), lags(), axes()])
+def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
+    """The plant is 12 % stronger, and there is noise: from trial 2 on noise alone is left."""
+    Ts, p, samples = P.dt, P.noutputs, 150
+    rng, time = np.random.default_rng(0), np.arange(150) / 150
+    moves = [np.clip((time - 0.1) / rng.uniform(0.4, 0.8), 0, 1) for _ in range(8)]
+    r = np.array([np.outer(np.sin(np.pi * x) ** 4, rng.uniform(0.5, 1.5, p)) for x in moves])
+    names = {"inputs": P.input_labels, "outputs": P.output_labels}
+    loop, wrong = ClosedLoop(P), control.ss(P.A, 1.12 * P.B, P.C, P.D, Ts, **names)
+    law, noise = synthesise(P).law(), 1e-3 * rng.normal(size=(8, samples, p))
+    with warnings.catch_warnings(action="ignore"):
+        kept, predicted = (
+            run_trials(loop, law, r, trials=8, plant=wrong, noise=noise, between=between)
+            for between in ("law", "transfer")
+        )
+        save_log(with_law(predicted, law.bound_to(loop)), tmp_path / "a.csv")
+        replayed = replay(load_log(tmp_path / "a.csv"))
+    assert rms(predicted)[2:].max() < 3e-3 * np.sqrt(p) < rms(kept)[2:].max()
+    assert "the recorded v is that of the law in every trial" in str(replayed)
+
+
+def test_what_transfer_between_trials_needs_is_said():
+    loop, r = ClosedLoop(lag()), np.zeros((50, 1))
+    law = synthesise(lag()).law()
+    with pytest.raises(ValueError, match="between = 'next' must be 'law' or 'transfer'"):
+        run_trials(loop, law, r, between="next")
+    torque = control.ss(0.8, [[0.1, 0.2]], 1, 0, 1.0, inputs=["w", "F"], outputs=["x"])
+    beside = ClosedLoop(torque, references={"w": "x"}, learned=["F"])
+    with pytest.raises(ValueError, match="between = 'transfer' needs a v that is added"):
+        run_trials(beside, synthesise(beside).law(), r, between="transfer")
