@@ -1,4 +1,4 @@
-"""How far an error of the model may move an output within a trial: rho of house formula.
+"""How far an error of the model may move an output within a trial.
 
 Let Delta be a stable, linear and causal system, ||Delta(omega)|| <= r(omega), and d a signal of N
 samples, zero before and after. Then, at each sample t of the trial and in each output,
@@ -14,7 +14,7 @@ with c_k the Fourier coefficients of r over omega Ts. The kernel of Delta at lag
 is all that acts within a trial, and none is below zero. So the kernel may be multiplied by a
 trapezoid that is one at these lags, (m tri_m - n tri_n) / (m - n) about h, and zero where lags
 would come round again. A trapezoid is the difference of two Fejer kernels, which are positive, and
-(2) is their sum: docs/proofs.md. What it costs is (m + n) / (m - n), 1.033 for M = 32 N.
+(2) is their sum: docs/proofs.md. That costs a factor of (m + n) / (m - n), 1.033 for M = 32 N.
 
 Delta is causal, so what d is after t does not count at t:
 

@@ -224,7 +224,8 @@ class Law:
 
         With limits of outputs the change of v is shortened, or another one is taken that needs
         less, see :mod:`.output_step`. If an output of the trial was beyond its limit, the next one
-        goes back to the share of what drove it that would have kept it, from rest.
+        takes a change after which all limits hold for sure. If none is found, it goes back to the
+        share of what drove the trial that would have kept the limit, from rest.
 
         Parameters
         ----------
@@ -309,8 +310,6 @@ class Law:
         if y is None:
             raise ValueError("y = None: with limits of outputs, the trial's outputs are needed")
         added, kept = self.loop.one_for_one, self.output_limits
-        if kept.beyond(y).any():
-            return self._back(v, reference, y, moved), None
         now = Done(v + reference if added else v, y)
         wanted = target - v + (moved if added else 0)
         done = [self._done(part) for part in past[-PAST:]]
@@ -319,6 +318,8 @@ class Law:
             u = commands_after(self.loop, applied, target - v, moved)[:active]
             commands = Commands(command_model(self.loop), self.actuators.room(u))
         step = kept.step(wanted, now, done, Norm.of(self.L), active, commands)
+        if step is None:
+            return self._back(v, reference, y, moved), None
         return v + step.change - (moved if added else 0), step
 
     def _done(self, part):

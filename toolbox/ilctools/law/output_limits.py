@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from ilctools import arguments
 from ilctools.law.error_bound import ErrorBound
 from ilctools.law.nearest import Norm, Rows, nearest
-from ilctools.law.output_step import PAST, Done, Plant, Room, Spread, Step, longest_step
+from ilctools.law.output_step import PAST, Done, Plant, Room, Spread, Step, longest_step, regained
 from ilctools.law.plant_region import PlantRegion
 from ilctools.response.scale import Scale
 
@@ -149,8 +149,10 @@ class OutputLimits:
         norm: Norm,
         active: int,
         commands: Commands | None = None,
-    ) -> Step:
+    ) -> Step | None:
         """The change of what drives P that is taken instead of the law's, :mod:`.output_step`.
+
+        None after a trial beyond a limit, if no change is found after which all hold for sure.
 
         Parameters
         ----------
@@ -186,6 +188,13 @@ class OutputLimits:
             z[:active] = nearest(P, norm, len(z), active, rows, size)
             return wanted + z
 
+        if self.beyond(now.y * scale.y).any():
+            change = regained(plants, room, wanted, now, noise, program)
+            return None if change is None else Step(change * scale.v, 0.0, 0, 0.0, 0.0)
+        # since the last trial beyond a limit, by which the promise was broken, nothing else changed
+        broken = [k for k, done in enumerate(past) if self.beyond(done.y * scale.y).any()]
+        past = past[max(broken, default=0) :]
+        past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
         step = longest_step(plants, room, wanted, now, past, noise, cost, program)
         unit = scale.y[step.output]
         return step._replace(

@@ -11,9 +11,10 @@ Trials before say more: for any numbers c_j
     d = sum c_j (w_j - w_k) + d',    y_{k+1} - y_k = sum c_j (y_j - y_k) + P d' + Delta d',     (5)
 
 where only d' meets the error of P; the rest was measured, up to 2 n sum |c_j|. At each sample the
-tighter of both holds. The need of d is by how much y may move towards a limit by that, but for the
-last 2 n; it grows in proportion to d. So of all shares alpha of d the largest that keeps the limits
-in the next trial is
+tighter of both holds. A trial before that contradicts (4) is left out, for a disturbance was
+another. The need of d is by how much y may move towards a limit by that, but for the last 2 n; it
+grows in proportion to d. So of all shares alpha of d the largest that keeps the limits in the next
+trial is
 
     alpha = min(1, least of room / need),    room = high - 2 n - y_k,    or y_k - low - 2 n,    (6)
 
@@ -42,7 +43,8 @@ from ilctools.law.error_bound import ErrorBound
 from ilctools.law.nearest import NotFound
 from ilctools.models import from_rest
 
-THETAS = (0.0, 0.1, 0.3, 1.0)  # shares of (4) or (5) by which the limits of programs are tightened
+THETAS = (0.3, 1.0)  # shares of (4) or (5) by which the limits of programs are tightened
+BACK_THETAS = (1.2, 2.0)  # likewise, after a trial beyond a limit
 PAST = 3  # trials before this one that (5) takes
 REWEIGHTED = 6  # times, by which least squares come near to the least sum of norms
 NEARLY_ZERO = 1e-6  # relative: what is smaller has the same weight in these
@@ -114,6 +116,12 @@ class Plant:
             least, most = np.maximum(least, middle - q), np.minimum(most, middle + q)  # (5)
         return Spread(least, most)
 
+    def admits(self, done: Done, now: Done, noise) -> bool:
+        """Whether a trial and the last one differ by no more than (4) lets them."""
+        came, spread = done.y - now.y, self.spread(done.w - now.w, now, [], noise)
+        slack = 2 * noise + NEARLY_ZERO * np.abs(came).max()
+        return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
+
     def combination(self, d, changes, noise: float) -> np.ndarray:
         """The c_j of (5) for which rho(d') + 2 n sum |c_j| is about least: any numbers hold."""
         D, W = (rfft(signal, self.bound.padded, axis=-2) for signal in (d, changes))
@@ -128,6 +136,25 @@ class Plant:
             weights = each / np.maximum(left, NEARLY_ZERO * size)
             of_c = 2 * noise / np.maximum(np.abs(c), NEARLY_ZERO)
         return c
+
+
+def regained(
+    plants: Sequence[Plant], room: Room, wanted, now: Done, noise, program
+) -> np.ndarray | None:
+    """A change after which all limits hold for sure, of a trial beyond one; None: none is found.
+
+    Trials before do not count: something may have changed since.
+    """
+    spreads = [plant.spread(wanted, now, [], noise) for plant in plants]
+    for theta in BACK_THETAS:
+        try:
+            d = program(spreads, theta)
+        except NotFound:
+            continue
+        sure = [plant.spread(d, now, [], noise) for plant in plants]
+        if all(np.all(s.most <= room.up) and np.all(-s.least <= room.down) for s in sure):
+            return d
+    return None
 
 
 class Step(NamedTuple):

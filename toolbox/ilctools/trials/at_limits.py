@@ -23,10 +23,11 @@ def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
         if k >= first - 1 and distance.min() < 0:
             name, number = kept.region.outputs[distance.argmin()], trials.trial.values[k]
             return (
-                f"{name} was beyond its limit by {-distance.min():.3g} in trial {number}: from "
-                f"rest, {kept.safe_share(y):.2f} of what drove this trial would have kept it, and "
-                "drives the next one. Is trial 1 a smaller share of the reference (pilot), did a "
-                "disturbance come, or is the plant not linear?"
+                f"{name} was beyond its limit by {-distance.min():.3g} in trial {number}, and the "
+                f"next one goes back: from rest, {kept.safe_share(y):.2f} of what drove this trial "
+                "would have kept it. If it was trial 1, let it take a smaller share of the "
+                "reference (pilot); else a disturbance came, or the plant is not linear, or not "
+                "within the radius"
             )
     return ""
 
