@@ -45,9 +45,8 @@ def main(count: int = 40) -> None:
         near = np.mean([ratio[-1] < 1.2 for ratio in learned])
         print(
             f"{name}: {len(rows)} plants, beyond a limit {broken}, by the plain law {plain}; RMS "
-            f"relative to the plain law in trials 2, 5, 10: "
-            f"{ratios[1]:.2f}, {ratios[4]:.2f}, {ratios[9]:.2f}; within 1.2 in trial 10: {near:.0%} "
-            f"of {len(learned)}",
+            f"relative to the plain law in trials 2, 5, 10: {ratios[[1, 4, 9]].round(2)}; within "
+            f"1.2 in trial 10: {near:.0%} of {len(learned)}",
             flush=True,
         )
 
