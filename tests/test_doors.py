@@ -59,7 +59,7 @@ WRONG = {
             POSITIVE,
             """Ts cutoff conductivity density M_max L_max weight gain length width height
             heat_capacity heat_transfer limit noise quantum fan sink_capacity convection emissivity
-            temperature reach share lowest highest amplitude hours lag steepness duration""",
+            temperature reach share pilot lowest highest amplitude hours lag steepness duration""",
         ),
         (
             WHOLE,
@@ -68,15 +68,15 @@ WRONG = {
         ),
         (
             ARRAY,
-            """omega s signal v e reference coefficients gains heat_flows sensors deviations
-            plateaus flows""",
+            """omega s signal v e y errors reference coefficients gains heat_flows sensors
+            deviations plateaus flows""",
         ),
         ([1.5, "1"], "first trial scale initial_state"),
         (["1", -1.0], "uncertainty"),
         (["1", np.nan], "ambient_rate"),
         ([1.5, "y", ["u", "u"]], "controls inputs learned"),
         ([1.5, "y", {"w": "none"}], "references"),
-        ([1.5, "mirror"], "structure ends"),
+        ([1.5, "mirror"], "structure ends between"),
         ([0.1, (1.0, 0.1), ("a", 1.0)], "band"),
         ([0.1, (0.0, 1.0), ("a", 1.0)], "L_high"),
     )
@@ -91,6 +91,8 @@ LEFT_OUT = {
     "applied": "only a law with limits reads it: toolbox/tests/law/test_limits.py",
     "region": "Synthesis.law gives it, not a user",
     "labels": "Synthesis.law gives it, not a user",
+    "output_limits": "Synthesis.law gives it, not a user",
+    "past": "only a law with limits of outputs reads it: toolbox/tests/law/test_output_limits.py",
 }
 
 # What belongs there, by the name of the argument; what has a default keeps it.

@@ -202,9 +202,10 @@ UNREAD = [  # what Python does not read, or does without
     SECTIONS % (1, 1.5), SECTIONS % (0, 0), SECTIONS % ("NaN", 0), SECTIONS % ("1e999", 0),
     '{"Ts": 0.5}', '{"L": null}', '{"Q": {"order": 1, "cutoff": 5.000001, "ends": "zero"}}',
     '{"L": {"coefficients": [[[1]]], "ends": "zero", "first": 1}}', '{"format": "rodlib law 3"}',
+    '{"format": "rodlib law 4"}',
 ]  # fmt: skip
 REFUSED = [
-    '{"format": "rodlib law 4"}', '{"stepp": 0.5}', '{"actuator": {}}', '{"step": 1.5}',
+    '{"format": "rodlib law 5"}', '{"stepp": 0.5}', '{"actuator": {}}', '{"step": 1.5}',
     '{"step": NaN}', '{"step": 1e999}', '{"rest": 1.0}', '{"rest": -1}', '{"Ts": -1}',
     '{"Q": {"order": 2}}', '{"Q": {"order": 1, "cutoff": 5.0, "ends": "zero", "poles": 2}}',
     '{"L": {"coefficients": [[[1]]], "ends": "zero", "taps": 1}}',

@@ -79,7 +79,8 @@ class NormOptimal:
             vars(self)["errors"] = self._checked_errors()
 
     def _checked_errors(self):
-        errors = np.asarray(self.errors) * 1.0  # also of a mask
+        errors = np.asarray(self.errors)
+        errors = errors.astype(float) if errors.dtype == bool else errors
         errors = errors[:, None] if errors.ndim == 1 else errors
         errors = arguments.array("errors", errors, (self.samples, self.columns))
         if errors.min() < 0 or not errors.any():

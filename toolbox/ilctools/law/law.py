@@ -273,6 +273,11 @@ class Law:
         v, applied = self.applied(v, u, applied)
         y = y if y is None else arguments.in_columns("y", y, e.shape, of_e)
         if references is not None:
+            if not isinstance(references, list | tuple) or len(references) != 2:
+                raise ValueError(
+                    f"references = {reprlib.repr(references)} must be two: that of the trial, and "
+                    "that of the next one"
+                )
             references = [arguments.in_columns("references", r, e.shape, of_e) for r in references]
         elif y is not None:
             references = e + y, e + y

@@ -14,13 +14,13 @@ WORTH_IT = 1.2  # where that would divide the error by more than this
 
 
 def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
-    """Which output was first beyond its limit, from the trial `first` on, and what follows."""
+    """Which output was beyond its limit, from the trial before `first` on, and what follows."""
     kept = law.output_limits
     if kept is None:
         return ""
     for k, y in enumerate(trials.y.values):
         distance = kept.distance(y)
-        if k >= first - 1 and distance.min() < 0:
+        if k >= first - 2 and distance.min() < 0:
             name, number = kept.region.outputs[distance.argmin()], trials.trial.values[k]
             return (
                 f"{name} was beyond its limit by {-distance.min():.3g} in trial {number}, and the "

@@ -61,7 +61,7 @@ ROUNDED_ERROR = 1e-9  # relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
-def diagnose(trials: xr.Dataset, law: Law, first: int = 1, exact: bool = False) -> dict[str, str]:
+def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) -> dict[str, str]:
     """What the signals of trials say against the convergence of the law that made them.
 
     Parameters
