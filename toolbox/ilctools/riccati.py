@@ -60,12 +60,20 @@ def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
     n, m = B.shape
     above = np.block([[np.sqrt(weight) * np.eye(m), np.zeros((m, n))], [D, C]])
     dynamics = np.hstack([B, A])
+    if errors is None:
+        rows = _until_stationary(above, dynamics, samples)
+    else:
+        roots = np.hstack([np.ones((samples, m)), np.sqrt(errors)])
+        rows, _ = _backwards(above * roots[..., None], dynamics, np.zeros((n, n)), samples)
+    T, TK = np.triu(rows[..., :m]), rows[..., m:]
+    return Gains(np.linalg.solve(T, TK), np.linalg.inv(T))
+
+
+def _until_stationary(above, dynamics, samples) -> np.ndarray:
+    """T and T K of the last samples, backwards until S no longer changes."""
+    n = len(dynamics)
     U, S, count, parts = np.zeros((n, n)), np.zeros((n, n)), 0, []
     stationary = False
-    if errors is not None:
-        roots = np.hstack([np.ones((samples, m)), np.sqrt(errors)])
-        rows, _ = _backwards(above * roots[..., None], dynamics, U, samples)
-        parts, count = [rows], samples
     while count < samples and not stationary:
         look = min(samples, max(FIRST_LOOK, count + count // 2))
         same = np.broadcast_to(above, (look - count, *above.shape))
@@ -74,9 +82,7 @@ def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
         before, S, count = S, U.T @ U, look
         size = np.sqrt(np.diag(S))
         stationary = bool(np.all(np.abs(S - before) <= STATIONARY_S * np.outer(size, size)))
-    rows = np.concatenate(parts[::-1])
-    T, TK = np.triu(rows[..., :m]), rows[..., m:]
-    return Gains(np.linalg.solve(T, TK), np.linalg.inv(T))
+    return np.concatenate(parts[::-1])
 
 
 def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:

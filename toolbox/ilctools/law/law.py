@@ -20,8 +20,10 @@ from ilctools.law.limits import (
     stated_limits,
 )
 from ilctools.law.nearest import Norm
-from ilctools.law.output_limits import Commands, OutputLimits
-from ilctools.law.output_step import PAST, Done, Step
+from ilctools.law.output_limits import OutputLimits
+from ilctools.law.output_program import Commands
+from ilctools.law.output_spread import PAST, Done
+from ilctools.law.output_step import Step
 from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
 
@@ -272,15 +274,7 @@ class Law:
         arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
         v, applied = self.applied(v, u, applied)
         y = y if y is None else arguments.in_columns("y", y, e.shape, of_e)
-        if references is not None:
-            if not isinstance(references, list | tuple) or len(references) != 2:
-                raise ValueError(
-                    f"references = {reprlib.repr(references)} must be two: that of the trial, and "
-                    "that of the next one"
-                )
-            references = [arguments.in_columns("references", r, e.shape, of_e) for r in references]
-        elif y is not None:
-            references = e + y, e + y
+        references = _two_references(references, e, y, of_e)
         target = self.unlimited(v, e)
         following, _ = self.within_limits(target, v, applied, y, references, past)
         return arguments.labelled_as(labelled, following, names)
@@ -381,6 +375,18 @@ class Law:
         else:
             applied = arguments.in_columns("applied", applied, shape, commands)
         return self.loop.realised(v, u, applied), applied
+
+
+def _two_references(references, e, y, names):
+    """The references of the trial and of the next one; None if nothing says them."""
+    if references is None:
+        return None if y is None else (e + y, e + y)
+    if not isinstance(references, list | tuple) or len(references) != 2:
+        raise ValueError(
+            f"references = {reprlib.repr(references)} must be two: that of the trial, and that of "
+            "the next one"
+        )
+    return [arguments.in_columns("references", r, e.shape, names) for r in references]
 
 
 def _finite(signal):

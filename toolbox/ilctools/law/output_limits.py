@@ -4,34 +4,18 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
-import control
 import numpy as np
-from scipy.linalg import block_diag
 
 from ilctools import arguments
 from ilctools.law.error_bound import ErrorBound
-from ilctools.law.nearest import Norm, Rows, nearest
-from ilctools.law.output_step import PAST, Done, Plant, Room, Spread, Step, longest_step, regained
+from ilctools.law.nearest import Norm
+from ilctools.law.output_program import Commands, Program
+from ilctools.law.output_spread import PAST, Done, Plant, Room, Spread
+from ilctools.law.output_step import Step, longest_step, regained
 from ilctools.law.plant_region import PlantRegion
-from ilctools.response.scale import Scale
-
-
-class Commands(NamedTuple):
-    """Limits of commands, which follow from what drives P as the outputs of a model do."""
-
-    model: control.StateSpace  # from w to commands, in their own units
-    ends: tuple[np.ndarray, np.ndarray]  # low and high of their change, (active, commands)
-
-    def model_in(self, scale: Scale) -> control.StateSpace:
-        """From w in units of `scale`."""
-        P, S = self.model, np.diag(scale.v)
-        return control.ss(P.A, P.B @ S, P.C, P.D @ S, P.dt)
-
 
 Limit = tuple[float | np.ndarray, float | np.ndarray]  # lowest and highest; infinite: none
-MOST_PLANTS = 3  # of a list in a program: those that leave least room; (6) takes all
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,37 +153,26 @@ class OutputLimits:
         """
         scale, plants = self.region.scale, self.plants(len(wanted))
         down, up = self.room(now.y)
-        room = Room(down / scale.y, up / scale.y)
-        now, *past = (Done(w / scale.v, y / scale.y) for w, y in (now, *past[-PAST:]))
-        wanted, noise = wanted / scale.v, self.n / scale.y
-
-        def cost(d):  # (7)
-            return norm.size(plants[0].output(d - wanted), d - wanted)
-
-        def program(spreads, theta):
-            least = [room.share(spread).min() for spread in spreads]
-            some = np.union1d(0, np.argsort(least)[:MOST_PLANTS])  # the nominal one has the cost
-            asked = [(plants[k].model, _tightened(room, spreads[k], theta)) for k in some]
-            if commands is not None:
-                asked.append((commands.model_in(scale), commands.ends))
-            P, rows = _beside(asked)
-            size = np.abs(wanted).max()
-            z = np.zeros_like(wanted)
-            z[:active] = nearest(P, norm, len(z), active, rows, size)
-            return wanted + z
-
-        if self.beyond(now.y * scale.y).any():
-            change = regained(plants, room, wanted, now, noise, program)
+        room, noise = Room(down / scale.y, up / scale.y), self.n / scale.y
+        if commands is not None:
+            commands = commands.in_units(scale)
+        program = Program(plants, room, wanted / scale.v, norm, active, commands)
+        was_beyond = self.beyond(now.y).any()
+        past = self._comparable(past[-PAST:])
+        now, *past = (Done(w / scale.v, y / scale.y) for w, y in (now, *past))
+        if was_beyond:
+            change = regained(program, now, noise)
             return None if change is None else Step(change * scale.v, 0.0, 0, 0.0, 0.0)
-        # since the last trial beyond a limit, by which the promise was broken, nothing else changed
-        broken = [k for k, done in enumerate(past) if self.beyond(done.y * scale.y).any()]
-        past = past[max(broken, default=0) :]
-        past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
-        step = longest_step(plants, room, wanted, now, past, noise, cost, program)
+        step = longest_step(program, now, past, noise)
         unit = scale.y[step.output]
         return step._replace(
             change=step.change * scale.v, room=step.room * unit, error=step.error * unit
         )
+
+    def _comparable(self, past):
+        """Trials since the last one that broke the promise: before it something was another."""
+        broken = [k for k, done in enumerate(past) if self.beyond(done.y).any()]
+        return past[max(broken, default=0) :]
 
     def _in_words(self, name):
         """Its limits, of a signal that changes with time the least distance."""
@@ -272,19 +245,3 @@ def _end(name, end):
     if np.ndim(end) > 1 or np.isnan(end).any():
         raise ValueError(f"{name} must hold None, a number or one for each sample, (time,)")
     return end if end.ndim else float(end)
-
-
-def _tightened(room: Room, spread: Spread, theta: float) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where outputs may move from what is expected of the law's change."""
-    margin = theta * spread.radius
-    return margin - room.down - spread.middle, room.up - margin - spread.middle
-
-
-def _beside(asked) -> tuple[control.StateSpace, list[Rows]]:
-    """Models of one input as one, with the first one's outputs, and the rows of each, limited."""
-    models, ends = zip(*asked, strict=True)
-    A, C = block_diag(*(P.A for P in models)), block_diag(*(P.C for P in models))
-    B, D = np.vstack([P.B for P in models]), np.vstack([P.D for P in models])
-    rows = np.split(np.arange(len(C)), np.cumsum([P.noutputs for P in models])[:-1])
-    P = control.ss(A, B, C[rows[0]], D[rows[0]], models[0].dt)
-    return P, [Rows(C[at], D[at], *limits) for at, limits in zip(rows, ends, strict=True)]

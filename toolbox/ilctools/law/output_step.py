@@ -31,124 +31,29 @@ d; theta is one of THETAS. Of all of these, shortened by (6), that with the leas
 is taken, or d = 0.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import control
 import numpy as np
-from scipy.fft import rfft
 
-from ilctools.law.error_bound import ErrorBound
 from ilctools.law.nearest import NotFound
-from ilctools.models import from_rest
+from ilctools.law.output_program import Program
+from ilctools.law.output_spread import Done
 
 THETAS = (0.3, 1.0)  # shares of (4) or (5) by which the limits of programs are tightened
 BACK_THETAS = (1.2, 2.0)  # likewise, after a trial beyond a limit
-PAST = 3  # trials before this one that (5) takes
-REWEIGHTED = 6  # times, by which least squares come near to the least sum of norms
-NEARLY_ZERO = 1e-6  # relative: what is smaller has the same weight in these
-TINY = np.finfo(float).tiny  # instead of a zero that divides
 
 
-class Done(NamedTuple):
-    """A trial that has ended: what drove P, and what came of it; in units of `scale`."""
-
-    w: np.ndarray  # (time, m)
-    y: np.ndarray  # (time, p)
-
-
-class Spread(NamedTuple):
-    """From which to which change y may come, but for the last 2 n; shape (time, p)."""
-
-    least: np.ndarray
-    most: np.ndarray
-
-    @property
-    def middle(self) -> np.ndarray:
-        """What is expected."""
-        return (self.least + self.most) / 2
-
-    @property
-    def radius(self) -> np.ndarray:
-        """What the error of the model adds."""
-        return (self.most - self.least) / 2
-
-
-class Room(NamedTuple):
-    """How far outputs may move, (6), shape (time, p)."""
-
-    down: np.ndarray
-    up: np.ndarray
-
-    def share(self, spread: Spread) -> np.ndarray:
-        """alpha of (6), of each sample and output."""
-        share = np.ones(spread.most.shape)
-        for room, need in ((self.up, spread.most), (self.down, -spread.least)):
-            limited = (need > 0) & np.isfinite(room)
-            of_need = np.divide(np.maximum(room, 0), need, out=np.ones(need.shape), where=limited)
-            share = np.minimum(share, of_need)  # (6)
-        return share
-
-
-@dataclass(frozen=True, eq=False)
-class Plant:
-    """A plant within its radius on trials of one length, in units of `scale`."""
-
-    model: control.StateSpace
-    bound: ErrorBound
-
-    def output(self, w) -> np.ndarray:
-        """P w, from rest, (time, p)."""
-        return from_rest(self.model, w)
-
-    def spread(self, d, now: Done, past: Sequence[Done], noise) -> Spread:
-        """By (4), and where it is tighter by (5); noise (p,) is n."""
-        y, rho = self.output(d), self.bound.over_time(d)[:, None]
-        least, most = y - rho, y + rho  # (4)
-        if past and rho.any():
-            changes = np.array([done.w - now.w for done in past])
-            came = np.array([done.y - now.y for done in past])
-            c = self.combination(d, changes, np.max(noise))
-            left = d - np.tensordot(c, changes, 1)  # d'
-            middle = np.tensordot(c, came, 1) + self.output(left)
-            q = self.bound.over_time(left)[:, None] + 2 * noise * np.abs(c).sum()
-            least, most = np.maximum(least, middle - q), np.minimum(most, middle + q)  # (5)
-        return Spread(least, most)
-
-    def admits(self, done: Done, now: Done, noise) -> bool:
-        """Whether a trial and the last one differ by no more than (4) lets them."""
-        came, spread = done.y - now.y, self.spread(done.w - now.w, now, [], noise)
-        slack = 2 * noise + NEARLY_ZERO * np.abs(came).max()
-        return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
-
-    def combination(self, d, changes, noise: float) -> np.ndarray:
-        """The c_j of (5) for which rho(d') + 2 n sum |c_j| is about least: any numbers hold."""
-        D, W = (rfft(signal, self.bound.padded, axis=-2) for signal in (d, changes))
-        size, each = np.abs(D).max() + TINY, self.bound.weights
-        weights, of_c = each / size, np.zeros(len(W))
-        for _ in range(REWEIGHTED):
-            G = np.einsum("f,jfm,kfm->jk", weights, W.conj(), W, optimize=True).real
-            b = np.einsum("f,jfm,fm->j", weights, W.conj(), D, optimize=True).real
-            ridge = of_c + np.finfo(float).eps * len(d) * np.trace(G) + TINY
-            c = np.linalg.solve(G + np.diag(ridge), b)
-            left = np.linalg.norm(D - np.tensordot(c, W, 1), axis=1)
-            weights = each / np.maximum(left, NEARLY_ZERO * size)
-            of_c = 2 * noise / np.maximum(np.abs(c), NEARLY_ZERO)
-        return c
-
-
-def regained(
-    plants: Sequence[Plant], room: Room, wanted, now: Done, noise, program
-) -> np.ndarray | None:
+def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | None:
     """A change after which all limits hold for sure, of a trial beyond one; None: none is found.
 
     Trials before do not count: something may have changed since.
     """
-    spreads = [plant.spread(wanted, now, [], noise) for plant in plants]
+    plants, room = program.plants, program.room
+    spreads = [plant.spread(program.wanted, now, [], noise) for plant in plants]
     for theta in BACK_THETAS:
         try:
-            d = program(spreads, theta)
+            d = program.change(spreads, theta)
         except NotFound:
             continue
         sure = [plant.spread(d, now, [], noise) for plant in plants]
@@ -167,27 +72,13 @@ class Step(NamedTuple):
     error: float  # the radius of what may come
 
 
-def longest_step(
-    plants: Sequence[Plant],
-    room: Room,
-    wanted: np.ndarray,
-    now: Done,
-    past: Sequence[Done],
-    noise: np.ndarray,
-    cost: Callable[[np.ndarray], float],
-    program: Callable[[Sequence[Spread], float], np.ndarray],
-) -> Step:
-    """Of the law's change, shortened by (6), and those of programs, that of least cost (7).
-
-    `program(spreads, theta)` is a change that keeps the limits, tightened by theta times the radius
-    of each plant's spread; it may raise a NotFound.
-    """
+def longest_step(program: Program, now: Done, past: Sequence[Done], noise: np.ndarray) -> Step:
+    """Of the law's change, shortened by (6), and those of programs, that of least cost (7)."""
+    plants, room, wanted = program.plants, program.room, program.wanted
+    past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
 
     def spreads_of(d):
         return [plant.spread(d, now, past, noise) for plant in plants]
-
-    def shortened(d, spreads):
-        return min(room.share(spread).min() for spread in spreads) * d
 
     spreads = spreads_of(wanted)
     shares = np.array([room.share(spread) for spread in spreads])
@@ -197,12 +88,12 @@ def longest_step(
     candidates = [0 * wanted, shares.min() * wanted]
     for theta in THETAS if shares.min() < 1 else ():
         try:
-            d = program(spreads, theta)
+            d = program.change(spreads, theta)
         except NotFound:
             continue
-        candidates.append(shortened(d, spreads_of(d)))
+        candidates.append(min(room.share(spread).min() for spread in spreads_of(d)) * d)
     return Step(
-        min(candidates, key=cost),
+        min(candidates, key=program.cost),
         float(shares.min()),
         at[1],
         float(np.maximum(towards[at], 0)),

@@ -161,10 +161,8 @@ def record(
 
     following = partial(next_v, law, first, reset, between)
     notes = with_law(xr.Dataset(), law).attrs
-    if v is not None:
-        notes[BEGUN] = "v of trial 1 was given"
-    elif first.any():
-        notes[BEGUN] = "trial 1 takes a share of the reference"
+    if v is not None or first.any():
+        notes[BEGUN] = "v of trial 1 was given, or lets a share of the reference through"
     if between == TRANSFER:
         notes[BETWEEN] = between
     if not reset:

@@ -48,18 +48,25 @@ def asked_of(
     check_between(between, loop, reset)
     if law.output_limits is not None:
         _check_output_limits(law, reference, reset, one)
+    share = _first_share(law, reference[0], v, pilot)
+    if share is not None:
+        first = (share - 1) * (reference[0] - reference[0, 0])
+    return Asked(law, reference, first, asked)
+
+
+def _first_share(law, reference, v, pilot):
+    """The share of the reference that drives trial 1, by its v; None if v says it."""
+    added = law.loop.one_for_one
     if pilot is not None:
         pilot = arguments.number("pilot", pilot, "a share in (0, 1]", 0, most=1)
-        if v is not None or not loop.one_for_one:
+        if v is not None or not added:
             raise ValueError(
                 f"pilot = {pilot} is a share of the reference, by v of trial 1: it needs a loop "
                 "whose v is added to references, and no v of your own"
             )
-    elif v is None and law.output_limits is not None and loop.one_for_one:
-        pilot = law.output_limits.first_share(reference[0])
-    if pilot is not None:
-        first = (pilot - 1) * (reference[0] - reference[0, 0])
-    return Asked(law, reference, first, asked)
+    elif v is None and law.output_limits is not None and added:
+        pilot = law.output_limits.first_share(reference)
+    return pilot
 
 
 def check_between(between: str, loop: Loop, reset: bool) -> None:

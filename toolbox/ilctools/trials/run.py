@@ -144,12 +144,7 @@ def run_trials(
 
     following = partial(next_v, law, first, reset, between)
     signals = _learned(simulated, following, reset, r, d, noise)
-    names = loop.outputs, loop.controls, loop.disturbances
-    learned = () if loop.one_for_one else loop.learned
-    result = dataset(loop.Ts, *names, loop.units, learned=learned, **signals, disturbance=d)
-    result = with_points(result, points)
-    if learned:  # which of the inputs take a reference, too, nothing else says
-        result = with_loop(result, loop)
+    result = with_points(_dataset(loop, **signals, disturbance=d), points)
     if not reset:
         result.attrs[RESET] = NO_RESET
     if between == TRANSFER:
@@ -157,6 +152,15 @@ def run_trials(
     for text in _warnings(result, law, plant is None, reset and initial_state is None):
         warn(text)
     return result
+
+
+def _dataset(loop, **signals):
+    """Trials from their signals."""
+    names = loop.outputs, loop.controls, loop.disturbances
+    learned = () if loop.one_for_one else loop.learned
+    result = dataset(loop.Ts, *names, loop.units, learned=learned, **signals)
+    # which of the inputs take a reference, too, nothing else says
+    return with_loop(result, loop) if learned else result
 
 
 def _learned(simulated, following, reset, *inputs):

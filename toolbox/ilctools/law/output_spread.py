@@ -1,0 +1,107 @@
+"""How outputs may change from one trial to the next: by a model and its radius, and trials before.
+
+The equations (4) and (5) are in :mod:`.output_step`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import control
+import numpy as np
+from scipy.fft import rfft
+
+from ilctools.law.error_bound import ErrorBound
+from ilctools.models import from_rest
+
+PAST = 3  # trials before this one that (5) takes
+REWEIGHTED = 6  # times, by which least squares come near to the least sum of norms
+NEARLY_ZERO = 1e-6  # relative: what is smaller has the same weight in these
+TINY = np.finfo(float).tiny  # instead of a zero that divides
+
+
+class Done(NamedTuple):
+    """A trial that has ended: what drove P, and what came of it; in units of `scale`."""
+
+    w: np.ndarray  # (time, m)
+    y: np.ndarray  # (time, p)
+
+
+class Spread(NamedTuple):
+    """From which to which change y may come, but for the last 2 n; shape (time, p)."""
+
+    least: np.ndarray
+    most: np.ndarray
+
+    @property
+    def middle(self) -> np.ndarray:
+        """What is expected."""
+        return (self.least + self.most) / 2
+
+    @property
+    def radius(self) -> np.ndarray:
+        """What the error of the model adds."""
+        return (self.most - self.least) / 2
+
+
+class Room(NamedTuple):
+    """How far outputs may move, (6), shape (time, p)."""
+
+    down: np.ndarray
+    up: np.ndarray
+
+    def share(self, spread: Spread) -> np.ndarray:
+        """alpha of (6), of each sample and output."""
+        share = np.ones(spread.most.shape)
+        for room, need in ((self.up, spread.most), (self.down, -spread.least)):
+            limited = (need > 0) & np.isfinite(room)
+            of_need = np.divide(np.maximum(room, 0), need, out=np.ones(need.shape), where=limited)
+            share = np.minimum(share, of_need)  # (6)
+        return share
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A plant within its radius on trials of one length, in units of `scale`."""
+
+    model: control.StateSpace
+    bound: ErrorBound
+
+    def output(self, w) -> np.ndarray:
+        """P w, from rest, (time, p)."""
+        return from_rest(self.model, w)
+
+    def spread(self, d, now: Done, past: Sequence[Done], noise) -> Spread:
+        """By (4), and where it is tighter by (5); noise (p,) is n."""
+        y, rho = self.output(d), self.bound.over_time(d)[:, None]
+        least, most = y - rho, y + rho  # (4)
+        if past and rho.any():
+            changes = np.array([done.w - now.w for done in past])
+            came = np.array([done.y - now.y for done in past])
+            c = self.combination(d, changes, np.max(noise))
+            left = d - np.tensordot(c, changes, 1)  # d'
+            middle = np.tensordot(c, came, 1) + self.output(left)
+            q = self.bound.over_time(left)[:, None] + 2 * noise * np.abs(c).sum()
+            least, most = np.maximum(least, middle - q), np.minimum(most, middle + q)  # (5)
+        return Spread(least, most)
+
+    def admits(self, done: Done, now: Done, noise) -> bool:
+        """Whether a trial and the last one differ by no more than (4) lets them."""
+        came, spread = done.y - now.y, self.spread(done.w - now.w, now, [], noise)
+        slack = 2 * noise + NEARLY_ZERO * np.abs(came).max()
+        return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
+
+    def combination(self, d, changes, noise: float) -> np.ndarray:
+        """The c_j of (5) for which rho(d') + 2 n sum |c_j| is about least: any numbers hold."""
+        D, W = (rfft(signal, self.bound.padded, axis=-2) for signal in (d, changes))
+        size, each = np.abs(D).max() + TINY, self.bound.weights
+        weights, of_c = each / size, np.zeros(len(W))
+        for _ in range(REWEIGHTED):
+            G = np.einsum("f,jfm,kfm->jk", weights, W.conj(), W, optimize=True).real
+            b = np.einsum("f,jfm,fm->j", weights, W.conj(), D, optimize=True).real
+            ridge = of_c + np.finfo(float).eps * len(d) * np.trace(G) + TINY
+            c = np.linalg.solve(G + np.diag(ridge), b)
+            left = np.linalg.norm(D - np.tensordot(c, W, 1), axis=1)
+            weights = each / np.maximum(left, NEARLY_ZERO * size)
+            of_c = 2 * noise / np.maximum(np.abs(c), NEARLY_ZERO)
+        return c
