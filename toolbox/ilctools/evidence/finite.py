@@ -158,7 +158,7 @@ def trial_norm(
     """
     trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials
-    if L.rows <= L.columns:
+    if L.rows <= L.columns and np.all(getattr(L, "weight_of_errors", 1.0)):
         norm, before, after = _largest(T)
     else:
         basis = sparse.aslinearoperator(learned_basis(Q, L, samples, rest))
@@ -171,8 +171,8 @@ def trial_norm(
 def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.ndarray:
     """Orthonormal columns that span what Q_N L_N makes of errors.
 
-    With more inputs than outputs, P_N maps most v to zero. Such a v shrinks by Q_N alone, so that
-    the norm of T among all v is one. From v = 0 the law makes next to nothing of such v.
+    With more inputs than outputs, or where errors at points alone count, most v move none of them.
+    Such a v shrinks by Q_N alone, so that the norm of T among all v is one. From v = 0 the law makes next to nothing of such v.
     """
     size = samples * L.rows
     if size > MOST_REACHED:

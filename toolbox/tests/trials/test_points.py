@@ -49,7 +49,10 @@ def test_weights_of_errors_are_those_of_dense_algebra(seed):
     assert_allclose(as_matrix(L.apply_transposed, samples, 2), dense.T, rtol=0, atol=1e-10 * size)
     norm, *_ = trial_norm(P, ALL, L, samples)
     Q_N = as_matrix(ALL.apply, samples, 2)
-    assert norm == pytest.approx(np.linalg.norm(Q_N - Q_N @ dense @ P_N, 2), rel=1e-6)
+    made, sizes, _ = np.linalg.svd(Q_N @ dense)
+    made = made[:, : np.count_nonzero(sizes > 1e-10 * sizes[0])]  # what the law makes of errors
+    assert norm == pytest.approx(np.linalg.norm((Q_N - Q_N @ dense @ P_N) @ made, 2), rel=1e-6)
+    assert norm < 1
 
 
 @pytest.mark.parametrize("P", [lag(0.8), lags(), random_stable(1, m=2, Ts=1.0)])
