@@ -172,7 +172,8 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
     """Orthonormal columns that span what Q_N L_N makes of errors.
 
     With more inputs than outputs, or where errors at points alone count, most v move none of them.
-    Such a v shrinks by Q_N alone, so that the norm of T among all v is one. From v = 0 the law makes next to nothing of such v.
+    Such a v shrinks by Q_N alone, so that the norm of T among all v is one. From v = 0 the law
+    makes next to nothing of such v.
     """
     size = samples * L.rows
     if size > MOST_REACHED:

@@ -25,7 +25,7 @@ from ilctools import (
 )
 from ilctools.trials.points import filled
 
-ALL = zero_phase_butterworth(1, 3.1415, 1.0)  # which lets everything pass
+ALL = zero_phase_butterworth(1, 3.1, 1.0)  # which lets nearly everything pass
 
 
 def points(samples, p, at, seed=0):
@@ -65,7 +65,7 @@ def test_points_are_reached_and_the_rest_is_free(P):
     path, asked = filled(r)
     along = run_trials(ClosedLoop(P), law, path, trials=4)
     assert not run.e.values[:, asked == 0].any()
-    assert np.abs(run.e[-1]).max() < 1e-3
+    assert np.abs(run.e[-1]).max() < 0.01  # what Q leaves of moves of one
     effort = [float(np.sum(trials.v[-1] ** 2)) for trials in (run, along)]
     assert effort[0] < effort[1]
     of_points = [e[mask > 0] for e, mask in zip(run.e[-1].values.T, asked.T, strict=True)]
