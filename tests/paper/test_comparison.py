@@ -7,7 +7,7 @@ import pytest
 from nbformat import v4
 from nbval.plugin import IPyNbFile
 
-from rodlib.paper.comparison import PIXELS_PER_INCH, different_figures, same_text
+from rodlib.paper.comparison import PIXELS_PER_INCH, different_figures, same_picture, same_text
 from rodlib.paper.repository import ROOT
 
 PIXEL = 72 / 200 / 140  # in data: the axes are 140 points high
@@ -75,6 +75,16 @@ def before(tmp_path_factory):
 )
 def test_half_a_pixel_is_the_same_and_what_is_seen_is_not(before, tmp_path, changes, names):
     assert different_figures(draw(tmp_path / "drawn", **changes), before) == names
+
+
+@pytest.mark.parametrize(
+    ("pixels", "levels", "same"), [(1, 30, True), (1, 90, False), (30, 30, False)]
+)
+def test_a_speck_is_the_same_and_a_dot_is_not(before, tmp_path, pixels, levels, same):
+    picture = plt.imread(before / "fig01.png").copy()
+    picture[100, 200 : 200 + pixels, :3] -= levels / 255
+    plt.imsave(tmp_path / "fig01.png", picture)
+    assert same_picture(tmp_path / "fig01.png", before / "fig01.png") == same
 
 
 def test_a_pdf_that_is_cut_or_missing_is_named(before, tmp_path):

@@ -65,7 +65,7 @@ def test_points_are_reached_and_the_rest_is_free(P):
     path, asked = filled(r)
     along = run_trials(ClosedLoop(P), law, path, trials=4)
     assert not run.e.values[:, asked == 0].any()
-    assert np.abs(run.e[-1]).max() < 0.01  # what Q leaves of moves of one
+    assert np.abs(run.e[-1]).max() < 5e-3 * np.abs(run.e[0]).max()
     effort = [float(np.sum(trials.v[-1] ** 2)) for trials in (run, along)]
     assert effort[0] < effort[1]
     of_points = [e[mask > 0] for e, mask in zip(run.e[-1].values.T, asked.T, strict=True)]
