@@ -158,3 +158,12 @@ def test_no_plant_within_radius_and_list_exceeds_a_certificate_anywhere(seed):
     assert L.max() <= largest.all_L * (1 + 1e-6)
     assert largest.all_M <= asked["M_max"] * (1 + 1e-6)
     assert largest.all_L <= design.problem.L_max * (1 + 1e-6)
+
+
+def test_a_cut_is_made_at_the_top_of_each_crest():
+    """Beside some others: a narrow crest stands between those that are taken anyhow."""
+    share = np.full(3000, 1.5)
+    share[[700, 1801]] = 1.6
+    chosen = everywhere._worst(share)
+    assert chosen[[700, 1801]].all() and chosen.sum() < 300
+    assert not everywhere._worst(np.full(50, 1.0)).any()
