@@ -142,9 +142,11 @@ def test_the_rig_is_measured(loop, quick):
     parameters = RigParameters(lag=0.0)
     measured = measured_response(shake(RestartingRig(parameters=parameters), loop, quick))
     assert not measured.findings
-    G = sampled_response(MISMATCHED, measured.omega, 1.0)[:, :, [0, 2]]
-    error = off(measured.response, loop.frequency_response(measured.omega, G))
-    assert np.all(error < measured.radius(0.999, jointly=True))
+    omega = np.geomspace(0.005, 0.5, 200)  # between the lines, too
+    G = sampled_response(MISMATCHED, omega, 1.0)[:, :, [0, 2]]
+    response, radius = measured.on(omega, 0.999)
+    assert np.all(off(response, loop.frequency_response(omega, G)) < radius)
+    assert measured.lines.omega.size == len(quick.harmonics)
     measured.plot().canvas.draw()  # noise and distortion, too
 
 
@@ -164,20 +166,19 @@ def test_shaking_is_logged_and_gone_on_with(loop, tmp_path):
 
 
 @pytest.mark.parametrize("slope", [1e-3, 3e-5])  # of more than 100 and some 5 standard deviations
-def test_a_drift_is_within_the_radius_and_said(loop, quick, slope):
+def test_a_drift_is_within_the_radius(loop, quick, slope):
     y = answer(loop, quick.signals, noise_of(quick, 0.02, 4)[0])
     ramp = [0.0, slope] * np.arange(quick.samples)[:, None]
     drifting, still = (measured_response(log_of(loop, quick, y + x)) for x in (ramp, 0.0))
     moved = off(drifting.response, still.response)
-    assert np.all(moved < drifting.radius()) and drifting.radius()[0] > 2 * still.radius()[0]
-    assert drifting.distortion[0] > 5 * drifting.noise[0] and still.distortion.min() == 0
+    assert np.all(moved < drifting.radius(0.99, jointly=True))
+    assert "what is not linear or drifts" in str(drifting)
 
 
 @pytest.mark.parametrize("lines", [40, 60, 200])
-def test_lines_too_far_apart_for_a_delay_widen_the_radius(lines):
-    """The phase of a long delay turns by more than a radian between 60 lines, and not of 200.
-
-    Between 40 it turns by two, and P is off by 1.15 radii.
+def test_between_lines_that_are_far_apart_a_delay_is_known(lines):
+    """Its phase turns by two radians between 40 lines. Experiments follow without a pause, so that
+    what is on its way from one to the next may be anything.
     """
     sizes = {"outlet": 10.0, "valve": 5.0}
     loop = current_trial_loop(furnace(20, Ts=30.0), sizes=sizes)
@@ -185,9 +186,8 @@ def test_lines_too_far_apart_for_a_delay_widen_the_radius(lines):
     log = log_of(loop, plan, answer(loop, plan.signals, noise_of(plan, 1e-3, 3)[0]))
     grid = np.geomspace(1e-4, 0.07, 500)
     response, radius = measured_response(log).on(grid, 0.999)
-    most = 1.2 if lines == 40 else 1.0
-    assert np.all(off(response, loop.frequency_response(grid)) < most * radius)
-    assert (radius.max() > 0.3) == (lines < 200)
+    assert np.all(off(response, loop.frequency_response(grid)) < radius)
+    assert np.median(radius) < 3e-4
 
 
 def test_wrong_records_are_refused(loop, quick):
@@ -220,10 +220,12 @@ def test_between_the_lines_and_in_other_units(loop, quick):
     assert np.all(off(response, loop.frequency_response(dense)) <= radius)
     start, bound = measured.on([1e-9], 0.99)
     np.testing.assert_allclose(start[0], np.eye(2), atol=1e-6)
-    assert bound[0] < 1e-6
+    assert bound[0] < 1e-3
     with pytest.raises(ValueError, match="confidence = 1"):
         measured.radius(1)
     scale = (0.1, 30.0)
-    theirs = estimate(loop, quick, y, scale=scale).on(dense, 0.9)
-    for pair in zip(measured.on(dense, 0.9, scale), theirs, strict=True):
-        np.testing.assert_allclose(*pair, rtol=1e-6, atol=1e-12)
+    of_P = np.array(scale) / np.array(scale)[:, None]
+    response, radius = measured.on(dense, 0.9, scale)
+    np.testing.assert_allclose(response, measured.on(dense, 0.9)[0] * of_P)
+    truth = loop.frequency_response(dense) * of_P
+    assert np.all(off(response, truth) <= radius)

@@ -87,6 +87,7 @@ class EstimatedResponse(Measured):
     units: np.ndarray  # shape (outputs, inputs): of P, by which each fit is multiplied
     apart: float = 0.0  # of P, by which records contradict one linear plant
     findings: tuple[str, ...] = ()
+    lines: Measured | None = None  # of an excitation: P at its lines, without a model between them
 
     @property
     def loop(self) -> Loop:
@@ -239,7 +240,10 @@ class EstimatedResponse(Measured):
     def __repr__(self):
         radius = self.radius()[self.known]
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
-        return f"{super().__repr__()}\n{within}"
+        lines = [super().__repr__(), within]
+        if self.lines is not None:
+            lines.append(self.lines.deviations)
+        return "\n".join(lines)
 
 
 @on_one_thread

@@ -138,6 +138,11 @@ class ExcitedResponse(Measured):
         )
 
     @property
+    def lines(self) -> "ExcitedResponse":
+        """P at the lines: itself."""
+        return self
+
+    @property
     def anchored(self) -> bool:
         """Whether P(0) = I is known of the loop: its observer integrates."""
         return isinstance(self.loop, CurrentTrialLoop)
@@ -160,10 +165,17 @@ class ExcitedResponse(Measured):
             f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
             f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
-            f"standard deviation up to {self.noise.max():.2g} by noise, and up to "
-            f"{self.distortion.max():.2g} by what is not linear, drifts, or had not settled",
+            self.deviations,
         ]
         return "\n".join([*lines, *self.findings])
+
+    @property
+    def deviations(self) -> str:
+        """How much noise, and what is not linear, make P uncertain at the lines, in words."""
+        return (
+            f"standard deviation up to {self.noise.max():.2g} by noise, and up to "
+            f"{self.distortion.max():.2g} by what is not linear or drifts"
+        )
 
 
 def _squares(off):

@@ -13,6 +13,7 @@ from ilctools import arguments
 from ilctools.errors import LogError
 from ilctools.law.notes import limits_of, loop_of
 from ilctools.logs.format import few
+from ilctools.measurement.distortion import combined
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import excitation_of
 from ilctools.measurement.excited import ExcitedResponse, excited_response
@@ -40,7 +41,7 @@ def measured_response(
     of : {"w", "u"}, optional
         Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
         Default: from w, if all records have a reference. If this or `delay` is given, a record of
-        :func:`shake` is estimated like any other.
+        :func:`shake` is estimated like any other, and what is not linear is not in the radius.
     uncertainty : array_like, shape (n,), or float, optional
         Of a table: the radius at its lines, or one number, relative to sigma_max(P). Default: they
         count as exact, noise and all, and nothing says if they scatter: then pass a radius.
@@ -51,7 +52,8 @@ def measured_response(
     Returns
     -------
     ExcitedResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise`, and checks. An estimate has
+        For :func:`synthesise`, and checks. Of a record of :func:`shake` it is an estimate, or its
+        lines alone, see Notes. An estimate has
         ``check(log)``, against a record that it was not made of, ``model()``, ``frd()`` and
         ``plot()``.
 
@@ -68,13 +70,9 @@ def measured_response(
     -----
     UserWarning
         Each of the findings: commands of a shaken rig beyond the limits; trials, or the course of
-        one, that contradict one linear plant; an output that may not settle. A rig that is not
-        linear, drifts or had not settled when shaken widens the radius, and print says so. No
-        warning says that lines are too far apart, or begin too high: between them, and below the
-        first, the radius grows by what splines of every other line miss. That is too little, up to
-        five times, where the phase turns by more than half a turn from line to line, as of a delay
-        of D samples with lines further apart than pi / (D Ts), and of peaks narrower than that:
-        then take more `lines`.
+        one, that contradict one linear plant; an output that may not settle; a shaken rig whose P
+        is taken at its lines because no linear model describes the record. A rig that is not linear
+        widens the radius, and print says so.
 
     See Also
     --------
@@ -84,7 +82,7 @@ def measured_response(
 
     Notes
     -----
-    Records other than a single one of :func:`shake` are estimated by
+    Records are estimated by
     :mod:`ilctools.measurement.arx.regression`: A(z) y = B(z) u + e, of high order and regularised,
     each input with a delay if correlations show one, from any start, with offset and slope in each
     trial, a drift that trials of one length have in common, and, over these, of all logs,
@@ -113,13 +111,17 @@ def measured_response(
     leave out trials in which commands were cut off. Of commands in a loop whose reference is in the
     first log, y(t) depends on earlier u only, and else on u(t), too.
 
-    Shaken, P is the best linear approximation by the robust method, which takes no known
-    disturbances: what they do counts as noise, or, if it differs between realisations, as what is
-    not linear. With ``of="w"`` they are inputs of an estimate by regression. Periods show the
-    noise, realisations of the phases the noise and what is not linear, and the radius has both; see
-    :mod:`ilctools.measurement.excited`. The first period of each experiment is left out. On three
-    plants behind w + c w^3, c from 0 to 1, 1.4 to 5.2 % of the lines were outside their radius of
-    95 %, with two realisations and with six, twice 40 draws of the phases each.
+    A record of :func:`shake` is estimated in two ways. The regression connects the lines of the
+    excitation, and knows transients, delays and resonances. The lines by themselves (the robust
+    method, :mod:`ilctools.measurement.excited`) show how much noise there is, and what is not
+    linear, without a model. What is not linear is added to the radius of the regression, see
+    :mod:`ilctools.measurement.distortion`. P is then the best linear approximation for signals of
+    the size of the excitation: smaller ones may see another gain. If the lines by themselves have
+    the smaller radius, as where the plant is slow and little noise repeats, P is taken at the lines
+    and runs along splines between them. So it is, with a warning, if the regression does not settle
+    or contradicts the lines. The attribute ``lines`` has P at the lines, ``noise`` and
+    ``distortion`` in each case. The lines by themselves take no known disturbances: what these do
+    counts as noise, or as what is not linear.
 
     Examples
     --------
@@ -159,7 +161,8 @@ def measured_response(
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:
         asked, limits = np.asarray(loop.asked(log)), limits_of(log)
-        measured = excited_response(*_signals(log, excitation), asked, limits, excitation, loop)
+        lines = excited_response(*_signals(log, excitation), asked, limits, excitation, loop)
+        measured = combined(log, excitation, lines)
     return _warned(measured)
 
 

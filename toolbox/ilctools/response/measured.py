@@ -23,6 +23,7 @@ class Measured:
     """
 
     findings = ()
+    lines = None  # of an excited record: P at its lines, with noise and distortion
     estimated = True  # from a record, whose times give omega its unit; it says P at rest
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
@@ -131,9 +132,13 @@ class Measured:
             band = np.maximum(size - radius, size / 10), size + radius
             gain.fill_between(omega, *band, alpha=0.3, label="radius, 99 %")
             gain.loglog(omega, size)
-            for name in ("noise", "distortion"):
-                if hasattr(self, name):
-                    gain.loglog(omega, getattr(self, name), label=name, nonpositive="mask")
+            if self.lines is not None:
+                gain.loglog(
+                    self.lines.omega, np.abs(self.lines.response[:, i, j]), ".", label="lines"
+                )
+                for name in ("noise", "distortion"):
+                    deviation = getattr(self.lines, name)
+                    gain.loglog(self.lines.omega, deviation, label=name, nonpositive="mask")
             gain.set(title=f"{inputs[j]} to {outputs[i]}", ylabel="gain")
             phase.semilogx(omega, np.degrees(np.unwrap(np.angle(P[:, i, j]))))
             phase.set(xlabel="frequency (rad/s)", ylabel="phase (deg)")

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
 
 from ilctools.measurement.arx.delay import with_delays
 from ilctools.measurement.arx.likelihood import polished
@@ -100,14 +100,28 @@ class Regression:
         turns = np.fft.rfft(a, 2 * len(a) + 4096)
         return bool(abs(np.angle(turns[1:] / turns[:-1]).sum()) < 1)
 
-    def impulse(self, n: int) -> np.ndarray:
-        """Impulse responses over n samples to all inputs, (m + d, n): disturbances stand last."""
+    def denominator_at(self, omega: np.ndarray) -> np.ndarray:
+        """A at angles omega Ts, (n,)."""
+        return self._A(omega)
+
+    def numerators(self, n: int) -> np.ndarray:
+        """The estimates of B over n lags, (m + d, n): disturbances stand last."""
         layout, poles, B = self.data.layout, self.data.layout.poles, []
         for j, knots in enumerate(layout.knots_of_B):
             B.append(coefficients(self.mean[layout.where(Kind.B, j)], knots, n))
             slow = self.mean[layout.where(Kind.SLOW, j)]
             B[j][1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
-        return lfilter([1.0], self.denominator, np.array(B))
+        return np.array(B)
+
+    def impulse(self, n: int) -> np.ndarray:
+        """Impulse responses over n samples to all inputs, (m + d, n)."""
+        return lfilter([1.0], self.denominator, self.numerators(n))
+
+    def residual(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """A y - B u of trials from rest, (trial, time), without start, line and drift of (1)."""
+        B = self.numerators(y.shape[1])
+        answer = fftconvolve(u, B.T[None], axes=1)[:, : y.shape[1]].sum(axis=2)
+        return lfilter(self.denominator, [1.0], y) - answer
 
 
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:

@@ -154,7 +154,9 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
     keys, late = keys_of(groups), max(delays)
     # An input that rested elsewhere before is still on its way until the latest delay.
     coarse = knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
-    start = np.unique(np.append(0, late + coarse))
+    start, fine = np.unique(np.append(0, late + coarse)), np.union1d(np.arange(late), late + coarse)
+    if len(keys) * len(fine) <= MOST_OF_STARTS:  # what is on its way may be anything
+        start = fine
     has_starts = len(keys) * len(start) <= MOST_OF_STARTS
     poles = np.exp(-TIME_CONSTANTS / longest)
     blocks = (

@@ -47,8 +47,8 @@ def test_a_start_decays_from_the_latest_delay_on_or_is_left_out(monkeypatch):
     groups, delays = [trials_of(1)], np.array([0, 7])
     layout = layout_of(groups, True, delays)
     start = layout.where(Kind.START, SeriesKey(0, 0))
-    np.testing.assert_array_equal(layout.lag[start][:3], [0, 0, 1])
-    np.testing.assert_array_equal(layout.knots_of_start[:3], [0, 7, 8])
+    np.testing.assert_array_equal(layout.lag[start][:9], [*[0] * 8, 1])
+    np.testing.assert_array_equal(layout.knots_of_start[:9], range(9))
     assert layout.skipped == 0
     monkeypatch.setattr(module, "MOST_OF_STARTS", 3)
     layout = layout_of(groups, True, delays)

@@ -1,0 +1,153 @@
+"""What an excited record shows at its lines beside a linear model: noise, and what is not linear.
+
+The regression of a record, A(z) y = B(z) w + e, connects the lines and knows transients. It takes
+all that is left for noise. At the lines of an excitation its residual e of realisation r in period
+p is, by the transforms E_rp and W_r over a period, with the m experiments as columns,
+
+    D_rp = E_rp W_r^-1 / A,    G_rp = P + D_rp,                                                 (1)
+
+which are the periods of :mod:`.excited`, (1) there, without transients. So its (2) and (3) are the
+noise and the error of lines, and what is not linear has the variance
+
+    delta^2 = max(error^2 - noise^2, 0),  if the mean of error^2 / noise^2 over all lines       (2)
+
+is above the 99 % point of its F distribution; else there is none. What is not linear is alike in
+all periods of a realisation. As an error of E it has, at a line of an experiment, the variance
+
+    v = R delta^2 ||W||^2 / m^2 |A|^2,                                                          (3)
+
+times the ratio of the quantiles of F and chi^2 at 1 - TAIL, for delta^2 is itself estimated. With
+the transform F of the regressors, summed over the N periods of p samples, over sqrt(N), the
+unknowns x have the further covariance
+
+    M V M,    V = sum over experiments and lines of 2 N v / p^2 Re(F F^H),                      (4)
+
+with M = (X' X + D^-1)^-1. R. Pintelon and J. Schoukens, System Identification, 2012, section 4.3.1.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtri, fdtri
+
+from ilctools.errors import LogError
+from ilctools.measurement.arx.regression import Regression
+from ilctools.measurement.arx.regressors import regressors
+from ilctools.measurement.arx.trials import Trials, series_of
+from ilctools.measurement.estimation import EstimatedResponse, estimated_response
+from ilctools.measurement.excitation import Excitation
+from ilctools.measurement.excited import ExcitedResponse
+from ilctools.response.measured import CONFIDENCE
+from ilctools.singular_values import largest_singular_values
+
+CONTRADICTED = (
+    "{reason}. P is taken at the lines alone, as splines connect them: it may be off between them, "
+    "as behind a long delay or of a narrow resonance. Record longer periods, or more lines"
+)
+GATE = 0.99  # probability that noise alone does not pass for something that is not linear
+TAIL = 2e-4  # at which v is as uncertain as delta^2
+
+
+def combined(
+    log, excitation: Excitation, of_lines: ExcitedResponse
+) -> EstimatedResponse | ExcitedResponse:
+    """The estimate of an excited record, by the regression and its lines.
+
+    It is P at the lines alone where these know P better, where no linear model describes the
+    record, and where the lines contradict it. The last two are findings.
+    """
+    try:
+        estimate = estimated_response([log], "w")
+    except LogError as error:
+        return _at_lines(of_lines, str(error))
+    estimate = with_distortion(estimate, excitation)
+    P, radius = estimate.on(of_lines.omega, CONFIDENCE)
+    if np.median(radius) > np.median(of_lines.radius(CONFIDENCE, jointly=True)):
+        return of_lines
+    off = largest_singular_values(estimate.lines.response - P)
+    both = radius + estimate.lines.radius(CONFIDENCE, jointly=True)
+    if np.any(off > both):
+        worst = of_lines.omega[np.argmax(off / both)]
+        return _at_lines(
+            of_lines, f"at {worst:.3g} rad/s a linear model contradicts what the lines show"
+        )
+    findings = (*of_lines.findings, *estimate.findings)
+    return replace(estimate, lines=of_lines, findings=findings)
+
+
+def _at_lines(of_lines, reason):
+    finding = CONTRADICTED.format(reason=reason)
+    return replace(of_lines, findings=(*of_lines.findings, finding))
+
+
+def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResponse:
+    """(1) of all outputs, in the units of the estimate."""
+    [group] = estimate.record.groups
+    angles = excitation.omega * estimate.loop.Ts
+    W = spectra(group.u[..., : group.commanded], excitation)
+    rows = []
+    for i, fit in enumerate(estimate.fits):
+        E = spectra(fit.residual(group.u, group.y[..., i])[..., None], excitation)
+        D = E @ np.linalg.inv(W) / fit.denominator_at(angles)[:, None, None]
+        rows.append(fit.response(angles)[:, None] + D)
+    periods = np.concatenate(rows, axis=-2)
+    return ExcitedResponse(excitation.omega, periods * estimate.units, estimate.loop)
+
+
+def spectra(signal, excitation) -> np.ndarray:
+    """At the lines, of all periods, (realisation, period, n, channel, experiment)."""
+    m, period, channels = excitation.rows, excitation.period, signal.shape[-1]
+    parts = signal.reshape(len(signal) // m, m, -1, period, channels)
+    lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
+    return np.moveaxis(lines, 1, -1)
+
+
+def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> EstimatedResponse:
+    """The estimate, with the covariance (4) where the lines show what is not linear."""
+    lines, [group] = lines_of(estimate, excitation), estimate.record.groups
+    fits = []
+    for i, (fit, units) in enumerate(zip(estimate.fits, estimate.units, strict=True)):
+        own = replace(lines, periods=lines.periods[..., [i], :] / units)
+        v = distortion(own)
+        if v.any():
+            one = replace(group, y=group.y[..., [i]])
+            fit = replace(fit, C=fit.C + added_covariance(fit, one, excitation, v))
+        fits.append(fit)
+    return replace(estimate, fits=tuple(fits), lines=lines)
+
+
+def distortion(lines: ExcitedResponse) -> np.ndarray:
+    """delta^2 of (2) of one output, times the ratio of quantiles of (3), (n,)."""
+    R, N = lines.periods.shape[:2]
+    square, d, f = lines._error
+    noise = lines.noise**2
+    off = lines.realisations - lines.response
+    error = np.sum(np.abs(off) ** 2, axis=(0, 2, 3)) / (R * (R - 1))
+    n = len(noise)
+    gate = fdtri(2 * d * n * (R - 1), 2 * d * n * R * (N - 1), GATE)
+    if np.mean(error / noise) <= gate:
+        return np.zeros(n)
+    ratio = fdtri(2 * d, 2 * f, 1 - TAIL) / (chdtri(2 * d, TAIL) / (2 * d))
+    return np.maximum(square - noise, 0) * ratio
+
+
+def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.ndarray:
+    """M V M of (4)."""
+    m, period, R = excitation.rows, excitation.period, len(group.y) // excitation.rows
+    angles = 2 * np.pi * np.array(excitation.harmonics) / period
+    W = spectra(group.u[..., : group.commanded], excitation)[:, 0]  # alike in all periods
+    power = np.mean(np.sum(np.abs(W) ** 2, axis=(-2, -1)), axis=0) / m**2
+    v = R * delta2 * power * np.abs(fit.denominator_at(angles)) ** 2  # (3)
+    V = 0.0
+    for series in series_of([group]):
+        X = regressors(series, fit.data.layout)
+        parts = X.reshape(len(X), -1, period)
+        N = parts.shape[1]
+        F = np.fft.rfft(parts.sum(axis=1), axis=1)[:, excitation.harmonics] / np.sqrt(N)
+        F = F * np.sqrt(2 * N * v) / period
+        weight = fit.posterior.weight if series.is_mean else 1.0
+        V = V + weight**2 * (F @ F.conj().T).real
+    at = fit.posterior
+    inverse = at.inverse()
+    M = (np.triu(inverse) + np.triu(inverse, 1).T) * np.outer(at.root_D, at.root_D)
+    return M @ V @ M
