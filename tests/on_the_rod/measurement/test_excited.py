@@ -166,13 +166,13 @@ def test_shaking_is_logged_and_gone_on_with(loop, tmp_path):
 
 
 @pytest.mark.parametrize("slope", [1e-3, 3e-5])  # of more than 100 and some 5 standard deviations
-def test_a_drift_is_within_the_radius(loop, quick, slope):
+def test_a_drift_is_within_the_radius_of_the_lines_and_said(loop, quick, slope):
     y = answer(loop, quick.signals, noise_of(quick, 0.02, 4)[0])
     ramp = [0.0, slope] * np.arange(quick.samples)[:, None]
-    drifting, still = (measured_response(log_of(loop, quick, y + x)) for x in (ramp, 0.0))
+    drifting, still = (estimate(loop, quick, y + x) for x in (ramp, 0.0))
     moved = off(drifting.response, still.response)
-    assert np.all(moved < drifting.radius(0.99, jointly=True))
-    assert "what is not linear or drifts" in str(drifting)
+    assert np.all(moved < drifting.radius()) and drifting.radius()[0] > 2 * still.radius()[0]
+    assert drifting.distortion[0] > 5 * drifting.noise[0] and still.distortion.min() == 0
 
 
 @pytest.mark.parametrize("lines", [40, 60, 200])
