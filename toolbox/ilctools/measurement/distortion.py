@@ -138,7 +138,7 @@ def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.n
     W = spectra(group.u[..., : group.commanded], excitation)[:, 0]  # alike in all periods
     power = np.mean(np.sum(np.abs(W) ** 2, axis=(-2, -1)), axis=0) / m**2
     v = R * delta2 * power * np.abs(fit.denominator_at(angles)) ** 2  # (3)
-    V = 0.0
+    V, M = 0.0, fit.posterior.spread
     for series in series_of([group]):
         X = regressors(series, fit.data.layout)
         parts = X.reshape(len(X), -1, period)
@@ -147,7 +147,4 @@ def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.n
         F = F * np.sqrt(2 * N * v) / period
         weight = fit.posterior.weight if series.is_mean else 1.0
         V = V + weight**2 * (F @ F.conj().T).real
-    at = fit.posterior
-    inverse = at.inverse()
-    M = (np.triu(inverse) + np.triu(inverse, 1).T) * np.outer(at.root_D, at.root_D)
     return M @ V @ M

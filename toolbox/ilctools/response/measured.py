@@ -132,18 +132,21 @@ class Measured:
             band = np.maximum(size - radius, size / 10), size + radius
             gain.fill_between(omega, *band, alpha=0.3, label="radius, 99 %")
             gain.loglog(omega, size)
-            if self.lines is not None:
-                gain.loglog(
-                    self.lines.omega, np.abs(self.lines.response[:, i, j]), ".", label="lines"
-                )
-                for name in ("noise", "distortion"):
-                    deviation = getattr(self.lines, name)
-                    gain.loglog(self.lines.omega, deviation, label=name, nonpositive="mask")
+            self._draw_lines(gain, i, j)
             gain.set(title=f"{inputs[j]} to {outputs[i]}", ylabel="gain")
             phase.semilogx(omega, np.degrees(np.unwrap(np.angle(P[:, i, j]))))
             phase.set(xlabel="frequency (rad/s)", ylabel="phase (deg)")
         gain.legend(bbox_to_anchor=(1, 1))
         return figure
+
+    def _draw_lines(self, axes, i, j):
+        """P at the lines of an excitation, and its standard deviations."""
+        if self.lines is None:
+            return
+        omega = self.lines.omega
+        axes.loglog(omega, np.abs(self.lines.response[:, i, j]), ".", label="lines")
+        for name in ("noise", "distortion"):
+            axes.loglog(omega, getattr(self.lines, name), label=name, nonpositive="mask")
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))

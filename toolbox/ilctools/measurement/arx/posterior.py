@@ -47,6 +47,12 @@ class Posterior(NamedTuple):
         """(U' U)^-1, its upper half and the diagonal."""
         return dpotri(self.U)[0]
 
+    @property
+    def spread(self) -> np.ndarray:
+        """(X' X + D^-1)^-1, by which an error in X' y moves x."""
+        inverse = self.inverse() * np.outer(self.root_D, self.root_D)
+        return np.triu(inverse) + np.triu(inverse, 1).T
+
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """U'^-1 D^(1/2) of columns (unknown, column), in which the covariance is s^2 I."""
         return solve_triangular(self.U, self.root_D[:, None] * columns, trans=1)

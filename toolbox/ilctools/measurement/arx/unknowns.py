@@ -152,11 +152,7 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
         delay + (at_once if direct or j >= commanded else past) for j, delay in enumerate(delays)
     )
     keys, late = keys_of(groups), max(delays)
-    # An input that rested elsewhere before is still on its way until the latest delay.
-    coarse = knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
-    start, fine = np.unique(np.append(0, late + coarse)), np.union1d(np.arange(late), late + coarse)
-    if len(keys) * len(fine) <= MOST_OF_STARTS:  # what is on its way may be anything
-        start = fine
+    start = _knots_of_start(len(keys), late, reach)
     has_starts = len(keys) * len(start) <= MOST_OF_STARTS
     poles = np.exp(-TIME_CONSTANTS / longest)
     blocks = (
@@ -167,6 +163,17 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
         *(Block.alike(Kind.DRIFT, i, DRIFT_KNOTS) for i in range(len(groups))),
     )
     return Layout(blocks, past, knots_of_B, start, delays, poles, 0 if has_starts else reach)
+
+
+def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
+    """Samples after the beginning of each of so many series, `late` the latest delay.
+
+    Until then what the inputs did before is still on its way, and may be anything: there is a knot
+    at each sample, if all starts together do not become too many.
+    """
+    coarse = late + knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
+    fine = np.union1d(np.arange(late), coarse)
+    return fine if series * len(fine) <= MOST_OF_STARTS else np.unique(np.append(0, coarse))
 
 
 def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:
