@@ -291,7 +291,8 @@ def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
     if isinstance(plant, control.FrequencyResponseData):
         raise ValueError(
             f"{name} is a table of a frequency response, and nothing can be simulated with it: "
-            "ClosedLoop(Ts=..., outputs=[...]) needs no P, synthesise takes the table"
+            "measured_response(table).model() is a model near it. ClosedLoop(Ts=..., "
+            "outputs=[...]) needs no P, and synthesise takes the table"
         )
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space(name, plant)

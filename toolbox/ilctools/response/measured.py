@@ -5,11 +5,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ilctools import arguments
+from ilctools.errors import LogError
+from ilctools.models import frequency_response
 from ilctools.response.samples import Assumed, Samples
 from ilctools.response.scale import scale_of
 from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99  # in a measured response
+MODEL_ERROR = 0.01  # of the largest gain: a model of samples need not be nearer to them than this,
+MOST_MODEL_ERROR = 0.1  # and one that is further off is none
+ROWS = 200  # of the Hankel matrix, samples
+STATES = 60  # of a model at most: so large an eigenvalue problem takes milliseconds
 
 
 class Measured:
@@ -112,6 +118,54 @@ class Measured:
         P = np.moveaxis(self.response, 0, -1)
         return control.frd(P, self.omega, dt, inputs=inputs, outputs=outputs)
 
+    def model(self) -> control.StateSpace:
+        """A stable model in discrete time near the response, with its names, and few states.
+
+        By the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference (1978)
+        705-714), which follows from P at all frequencies as :meth:`on` has it; then by the least
+        squares of B and D at the lines. It has the fewest states with which it is within the radius
+        at all lines, or within a hundredth of the largest gain.
+
+        Returns
+        -------
+        control.StateSpace
+            For ClosedLoop, trials, :class:`ilctools.NormOptimal`, and limits of outputs, which add
+            its distance to the radius.
+
+        Raises
+        ------
+        ValueError
+            If a table says no sampling period.
+        LogError
+            If the best model is further off than a tenth of the largest gain.
+        """
+        if self.loop is None:
+            raise ValueError(
+                "the table says no sampling period, which a model needs: control.frd(P, omega, Ts)"
+            )
+        Ts, (inputs, outputs) = self.loop.Ts, self.names
+        grid, _ = self.on(np.linspace(0, np.pi / Ts, 8 * ROWS + 1))
+        impulses = np.moveaxis(np.fft.irfft(grid, axis=0), 0, -1)[..., : 2 * ROWS + 1]
+        full, _ = control.eigensys_realization(impulses, STATES, ROWS, ROWS)
+        gain = largest_singular_values(self.response)
+        near = np.maximum(self.radius(CONFIDENCE, jointly=True), MODEL_ERROR * gain.max())
+        best, least = None, np.inf
+        for n in range(STATES + 1):
+            model = _nearest_with(full.A[:n, :n], full.C[:, :n], self, near)
+            off = largest_singular_values(frequency_response(model, self.omega) - self.response)
+            if np.abs(model.poles()).max(initial=0) < 1 and np.max(off / near) < least:
+                best, least, distance = model, np.max(off / near), off.max() / gain.max()
+            if least <= 1:
+                break
+        if best is None or distance > MOST_MODEL_ERROR:
+            raise LogError(
+                f"P has no model of up to {STATES} states within a tenth of its largest gain: is "
+                "the sampling period right, do lines reach from low frequencies to the Nyquist "
+                "frequency, and are they close enough to each other?"
+            )
+        best.update_names(inputs=inputs, outputs=outputs)
+        return best
+
     def plot(self) -> Figure:
         """Draw gain and phase of each entry of P, a column each, and the joint radius of 99 %.
 
@@ -150,6 +204,19 @@ class Measured:
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
+
+
+def _nearest_with(A, C, measured, near) -> control.StateSpace:
+    """The model with these A and C whose B and D fit the lines best, each in units of `near`."""
+    Ts, P = measured.loop.Ts, measured.response
+    z, n = np.exp(1j * measured.omega * Ts), len(A)
+    states = np.linalg.solve((z[:, None, None] * np.eye(n) - A).swapaxes(1, 2), C.T[None])
+    rows = np.concatenate([states.swapaxes(1, 2), np.tile(np.eye(len(C)), (len(z), 1, 1))], axis=2)
+    weighted, target = (part / near[:, None, None] for part in (rows, P))
+    parts = (np.vstack([x.reshape(-1, x.shape[2]).real, x.reshape(-1, x.shape[2]).imag])
+             for x in (weighted, target))  # fmt: skip
+    B, D = np.split(np.linalg.lstsq(*parts, rcond=None)[0], [n])
+    return control.ss(A, B, C, D, Ts)
 
 
 def radius_of(uncertainty, P) -> np.ndarray:

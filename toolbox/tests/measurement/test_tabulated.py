@@ -4,10 +4,12 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
+from plants import STAGE_WITH_MODES, lags, random_stable
 from plants import lag as lag_model
 
-from ilctools import measured_response
-from ilctools.models import frequency_response
+from ilctools import NormOptimal, measured_response
+from ilctools.errors import LogError
+from ilctools.models import frequency_response, from_rest
 
 LINES = np.geomspace(5.0, 600.0, 14)
 
@@ -68,3 +70,34 @@ def test_any_measured_response_draws_itself_and_goes_to_python_control():
         _, turned = phases[k].lines[0].get_data()
         np.testing.assert_allclose(np.exp(1j * np.radians(turned)) * size, truth[:, i, j])
     figure.canvas.draw()
+
+
+@pytest.mark.parametrize(
+    ("plant", "lines"),
+    [
+        (lags(), np.geomspace(0.005, np.pi, 100)),
+        (control.ss(control.tf([0.2], [1, -0.8, *[0] * 12], 1.0)), np.linspace(0.02, np.pi, 200)),
+        (STAGE_WITH_MODES, np.geomspace(1, 1000 * np.pi, 400)),
+        (random_stable(3, m=3, Ts=1.0)[:2, :], np.geomspace(0.01, 3.0, 80)),
+    ],
+)
+def test_a_model_of_a_table_is_near_it_between_the_lines_too(plant, lines):
+    P = np.moveaxis(frequency_response(plant, lines), 0, -1)
+    names = {"inputs": plant.input_labels, "outputs": plant.output_labels}
+    model = measured_response(control.frd(P, lines, plant.dt, **names)).model()
+    omega = np.geomspace(lines[0], lines[-1], 333)
+    truth = frequency_response(plant, omega)
+    off = np.linalg.norm(frequency_response(model, omega) - truth, 2, axis=(1, 2))
+    assert off.max() < 0.012 * np.linalg.norm(truth, 2, axis=(1, 2)).max()
+    assert np.abs(model.poles()).max() < 1 and model.output_labels == plant.output_labels
+    w = np.random.default_rng(0).normal(size=(50, plant.ninputs))
+    NormOptimal(model, 0.1, 50).apply(from_rest(plant, w))
+
+
+def test_a_table_without_a_model_is_refused():
+    with pytest.raises(ValueError, match="the table says no sampling period"):
+        measured_response(table()).model()
+    rng, omega = np.random.default_rng(0), np.linspace(0.1, 3, 60)
+    noise = rng.normal(size=60) + 1j * rng.normal(size=60)
+    with pytest.raises(LogError, match="no model of up to 60 states within a tenth"):
+        measured_response(control.frd(noise, omega, 1.0)).model()
