@@ -1,30 +1,29 @@
 """The next trial's signal that keeps limits of outputs, though P is known within a radius only.
 
-A trial k was driven by w_k = r + v_k, and y_k was measured. The next one is driven by w_k + d. It
-has y_k + P d + Delta d, where Delta is any stable, linear, causal error within the radius of P, and
-what does not repeat, n at most in each of both trials. So with rho(t) of :mod:`.error_bound`
+Trial k was driven by w_k = r + v_k, and y_k was measured. The next trial is driven by w_k + d. Its
+outputs are y_k + P d + Delta d and what does not repeat. Delta is any stable, linear and causal
+error within the radius of P. What does not repeat is at most n in each trial. With rho(t) of
+:mod:`.error_bound`
 
     |y_{k+1} - y_k - P d| <= rho(t) + 2 n.                                                      (4)
 
-Trials before say more: for any numbers c_j
+Earlier trials say more. For any numbers c_j
 
     d = sum c_j (w_j - w_k) + d',    y_{k+1} - y_k = sum c_j (y_j - y_k) + P d' + Delta d',     (5)
 
-where only d' meets the error of P; the rest was measured, up to 2 n sum |c_j|. At each sample the
-tighter of both holds. A trial before that contradicts (4) is left out, for a disturbance was
-another. The need of d is by how much y may move towards a limit by that, but for the last 2 n; it
-grows in proportion to d. So of all shares alpha of d the largest that keeps the limits in the next
-trial is
+where only d' meets the error of P. The rest was measured, up to 2 n sum |c_j|. At each sample the
+tighter bound of both holds. An earlier trial that contradicts (4) is left out, because another
+disturbance acted in it. The *need* of d is how far y may move towards a limit by (4) and (5),
+without the last 2 n. The need grows in proportion to d. The *room* is the distance to the limit,
+less 2 n. The largest share alpha of d that keeps all limits in the next trial is
 
     alpha = min(1, least of room / need),    room = high - 2 n - y_k,    or y_k - low - 2 n,    (6)
 
-and at least zero. If a trial's own outputs, without what does not repeat, are n below a limit, then
-those of the next are, for the measured y_k is n above them at most. The measured y_{k+1} is then
-below the limit. This is the proof; docs/proofs.md has it in full.
+where a negative room counts as zero. This is the proof; docs/proofs.md has it in full.
 
-What is shortened is the law's own change d, or one that needs less. A program finds the signal that
-is nearest to the law's and keeps limits that are tightened by theta times what (4) or (5) adds for
-d; theta is one of THETAS. Of all of these, shortened by (6), that with the least cost
+Two kinds of changes are shortened in this way: the law's own change, and the changes that a program
+finds. The program looks for the signal that is closest to the law's and keeps limits that are
+tightened by theta times the radius of (4) or (5), with theta from THETAS. The change of least cost
 
     ||P (d - d*)||^2 + weight ||d - d*||^2,    d* the law's change,                             (7)
 
@@ -73,7 +72,7 @@ class Step(NamedTuple):
 
 
 def longest_step(program: Program, now: Done, past: Sequence[Done], noise: np.ndarray) -> Step:
-    """Of the law's change, shortened by (6), and those of programs, that of least cost (7)."""
+    """The change of least cost (7): the law's, or one of a program, each shortened by (6)."""
     plants, room, wanted = program.plants, program.room, program.wanted
     past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
 
