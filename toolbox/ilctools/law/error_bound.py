@@ -31,7 +31,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 PADDING = 32  # M / N: (1) is 1.033 times the integral of r ||D||; with 8 it would be 1.17 times
-BLOCKS = 16  # of a trial, in (3): with 64 the mean of rho(t) is 2 to 3 % smaller, at four times the time
+BLOCKS = 16  # of a trial, in (3): with 64 rho(t) is 2 to 3 % smaller, in four times the time
 
 
 @dataclass(frozen=True, eq=False)
