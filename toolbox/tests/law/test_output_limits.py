@@ -1,6 +1,7 @@
 """Limits of outputs from the design to trials; the parts have tests of their own."""
 
 import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -22,6 +23,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
+from ilctools.law.output_spread import Done
 
 Q = zero_phase_butterworth(2, 0.5, 1.0)
 
@@ -191,3 +193,36 @@ def test_limits_of_outputs_without_what_they_need_are_refused():
         synthesise(table, Q).law(limits={"y": (None, 2)})
     with pytest.raises(ValueError, match="the name of an output and of an input"):
         synthesise(np.full((50, 1, 1), 0.5), Q, omega).law(limits={"0": (None, 2)})
+
+
+@pytest.mark.parametrize("before", [0.0, -0.2])
+def test_trials_under_another_disturbance_do_not_count(before):
+    """One comes in trial 3, or one that lowered y is gone: once below, y stays below the limit."""
+    loop, law, r, wrong = axis(radius=0.3)
+    disturbed = np.tile(0.06 * bump(200, [1.0]), (8, 1, 1))
+    disturbed[:2] = before * bump(200, [1.0])
+    with warnings.catch_warnings(action="ignore"):  # that a limit was not kept
+        run = run_trials(loop, law, r, trials=8, plant=wrong, noise=disturbed)
+    highest = run.y.max(("time", "channel")).values
+    below = 3 + np.argmax(highest[3:] <= 1.01)  # a trial after the change, in any case
+    assert np.all(highest[below:] <= 1.01 + 1e-9) and below < 6
+    assert rms(run)[-1] < 0.3 * rms(run)[0]
+    trials = [Done(r, level * r) for level in (0.9, 1.2, 0.8, 1.3, 0.7)]
+    assert law.output_limits._comparable(trials) == trials[3:]
+    assert law.output_limits._comparable(trials[2:3]) == trials[2:3]
+
+
+def test_a_reference_that_changes_keeps_the_limits():
+    loop, law, r, wrong = axis()
+    each = np.array([share * r for share in (0.5, 1.0, 0.7, 1.0)])
+    run = run_trials(loop, law, each, trials=4, plant=wrong)
+    assert run.y.max() <= 1.01 and rms(run)[3] < 0.1
+    both = (run.reference + run.v).values  # from w_k on, and not from v_k
+    assert np.abs(both[1] - both[0]).max() > 0.3
+
+
+def test_a_small_learning_gain_does_not_keep_the_share_of_the_first_trial():
+    loop, law, r, wrong = axis(limit=1.2, gain=0.3)
+    careful = run_trials(loop, law, r, trials=6, plant=wrong, pilot=0.5)
+    whole = run_trials(loop, replace(law, output_limits=None), r, trials=6, plant=wrong)
+    assert rms(careful)[5] < 1.3 * rms(whole)[5]

@@ -28,6 +28,20 @@ def test_of_what_keeps_the_limits_the_cheapest_is_taken():
     assert free.alpha == 1
 
 
+def test_a_trial_that_contradicts_the_radius_does_not_count():
+    """Its w is that of the law's change, so that with it everything would seem to be known."""
+    one = Plant(plant(np.random.default_rng(0), 1, 1), ErrorBound(np.zeros(1), np.ones(1), 50))
+    wanted, zero = bump(50, [1.0]), np.zeros((50, 1))
+    room = Room(np.full((50, 1), np.inf), np.full((50, 1), 0.4))
+    program, rest = Program([one], room, wanted, Norm(0.01), 50, None), Done(zero, zero)
+    alike, other = Done(wanted, 0.9 * one.output(wanted)), Done(wanted, -9 * one.output(wanted))
+    alone, taught, misled = (
+        longest_step(program, rest, past, np.zeros(1)) for past in ([], [alike], [other])
+    )
+    np.testing.assert_array_equal(misled.change, alone.change)
+    assert alone.alpha < 0.8 * taught.alpha
+
+
 def program_rest(program):
     return program.wanted, program.norm, program.active, program.commands
 

@@ -201,7 +201,7 @@ def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
     r = np.array([np.outer(np.sin(np.pi * x) ** 4, rng.uniform(0.5, 1.5, p)) for x in moves])
     names = {"inputs": P.input_labels, "outputs": P.output_labels}
     loop, wrong = ClosedLoop(P), control.ss(P.A, 1.12 * P.B, P.C, P.D, Ts, **names)
-    law, noise = synthesise(P).law(), 1e-3 * rng.normal(size=(8, samples, p))
+    law, noise = synthesise(P).law(rest=4), 1e-3 * rng.normal(size=(8, samples, p))
     with warnings.catch_warnings(action="ignore"):
         kept, predicted = (
             run_trials(loop, law, r, trials=8, plant=wrong, noise=noise, between=between)
@@ -209,6 +209,7 @@ def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
         )
         save_log(with_law(predicted, law.bound_to(loop)), tmp_path / "a.csv")
         replayed = replay(load_log(tmp_path / "a.csv"))
+    assert not predicted.v[:, -4:].any()
     assert rms(predicted)[2:].max() < 3e-3 * np.sqrt(p) < rms(kept)[2:].max()
     assert "the recorded v is that of the law in every trial" in str(replayed)
 
