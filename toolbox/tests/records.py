@@ -6,7 +6,7 @@ import xarray as xr
 from numpy.polynomial.polynomial import polyadd
 from scipy.signal import detrend, lfilter
 
-from ilctools.measurement.arx.regressors import regressors
+from ilctools.measurement.arx.regressors import Regressors
 from ilctools.measurement.arx.trials import Trials, series_of
 from ilctools.models import frequency_response
 from ilctools.singular_values import largest_singular_values
@@ -99,7 +99,7 @@ def dense(groups, layout):
     """[X, y], without offset and slope, and which rows are of means."""
     rows, means = [], []
     for series in series_of(groups):
-        columns = np.vstack([regressors(series, layout), series.y]).T
+        columns = np.vstack([Regressors(series, layout).rows(), series.y]).T
         rows.append(detrend(columns[layout.skipped :], axis=0))
         means += [series.is_mean] * len(rows[-1])
     return np.concatenate(rows), np.array(means)

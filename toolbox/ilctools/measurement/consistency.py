@@ -34,7 +34,6 @@ cannot be known then: by all of it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -200,9 +199,9 @@ def _last_move(u):
     """Backlash: the sign of the last move, less that at the beginning, opposite to the first."""
     signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
     signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
-    for before, now in pairwise(signs):
-        now += (now == 0) * before
-    return np.moveaxis(signs - signs[0], 0, 1)
+    samples = np.arange(len(signs)).reshape(-1, 1, 1)
+    last = np.maximum.accumulate(np.where(signs, samples, 0))  # when the last move was
+    return np.moveaxis(np.take_along_axis(signs, last, 0) - signs[0], 0, 1)
 
 
 def _at_once(fit, level):

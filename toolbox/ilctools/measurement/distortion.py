@@ -32,7 +32,7 @@ from scipy.special import chdtri, fdtri
 
 from ilctools.errors import LogError
 from ilctools.measurement.arx.regression import Regression
-from ilctools.measurement.arx.regressors import regressors
+from ilctools.measurement.arx.regressors import Regressors
 from ilctools.measurement.arx.trials import Trials, series_of
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import Excitation
@@ -140,7 +140,7 @@ def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.n
     v = R * delta2 * power * np.abs(fit.denominator_at(angles)) ** 2  # (3)
     V, M = 0.0, fit.posterior.spread
     for series in series_of([group]):
-        X = regressors(series, fit.data.layout)
+        X = Regressors(series, fit.data.layout).rows()
         parts = X.reshape(len(X), -1, period)
         N = parts.shape[1]
         F = np.fft.rfft(parts.sum(axis=1), axis=1)[:, excitation.harmonics] / np.sqrt(N)

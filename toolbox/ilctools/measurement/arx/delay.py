@@ -36,10 +36,10 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
     alone = [slice(j, j + 1) for j in range(commanded, len(least))]
     searched_at_once = [slice(commanded), *alone]  # all commanded inputs; each disturbance
 
-    def fitted(delays, first=FIRST_GUESSES):
-        fit = likeliest(data_of(groups, direct, delays, gain), longest, first)
-        late = sum(delays[inputs].any() for inputs in searched_at_once)
-        return fit._replace(cost=fit.cost + late * np.log(longest))
+    def fitted(delays, first=FIRST_GUESSES, least=np.inf):
+        late = np.log(longest) * sum(delays[inputs].any() for inputs in searched_at_once)
+        fit = likeliest(data_of(groups, direct, delays, gain), first, least - late)
+        return fit._replace(cost=fit.cost + late)
 
     best = fitted(least)
     tried = [(_latest(groups, 0), ROOM_OF_SIGNALS), (_latest(groups, 1), ROOM_OF_MOVES)]
@@ -49,7 +49,7 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
             more = np.zeros_like(before)
             more[inputs] = np.maximum(latest - before, 0)[inputs]
             if more.max() >= LEAST_DELAY:
-                further = fitted(before + (room * more).astype(int), [best.eta])
+                further = fitted(before + (room * more).astype(int), [best.eta], best.cost)
                 best = min(best, further, key=lambda fit: fit.cost)
     return best
 

@@ -77,15 +77,6 @@ WITHOUT_DRIFT = Hyperparameters(*(CENTRE - LOG_NOISE * OF_OUTPUT))
 FIRST_GUESSES = np.array([WITHOUT_DRIFT, WITHOUT_DRIFT._replace(log_c_DRIFT=LARGE_DRIFT)])
 # Beyond it a logarithm is as good as infinite: exp(50) is more than a double has digits.
 LARGEST_LOGARITHM = 50.0
-SHORTEST_LOG_T = -1.5  # a quarter of a sample, from which on all but the first lag are zero
-LONGEST_T = 5.0  # longest trials: what is slower is a line in each trial
-
-
-def bounds_of(longest: int) -> list[tuple[float, float]]:
-    """Lower and upper bounds of eta for a search; `longest`: samples of the longest trial."""
-    widest = (-LARGEST_LOGARITHM, LARGEST_LOGARITHM)
-    every = Hyperparameters(*[widest] * len(CENTRE))
-    return list(every._replace(log_T=(SHORTEST_LOG_T, np.log(LONGEST_T * longest))))
 
 
 def standardised(eta: np.ndarray, variance: float) -> np.ndarray:
@@ -98,6 +89,7 @@ class Prior(NamedTuple):
 
     log_D: np.ndarray  # (unknown,)
     slope: np.ndarray  # of log D over log T, (unknown,)
+    curvature: np.ndarray  # of log D over log T, (unknown,)
 
 
 def prior(eta: Hyperparameters, layout: Layout) -> Prior:
@@ -105,4 +97,5 @@ def prior(eta: Hyperparameters, layout: Layout) -> Prior:
     per_T = np.exp(-eta.log_T)  # 1 / T
     lag, gap = layout.lag * per_T, np.minimum(layout.gap * per_T, LARGEST_LOGARITHM)
     log_D = eta.of_kinds()[layout.kind] - lag + np.log(-np.expm1(-gap))  # (2)
-    return Prior(log_D, lag - gap / np.expm1(gap))
+    falls = gap / np.expm1(gap)
+    return Prior(log_D, lag - falls, falls * (1 - gap - falls) - lag)

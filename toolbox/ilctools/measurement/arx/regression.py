@@ -28,7 +28,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve, lfilter
+from scipy.fft import next_fast_len
+from scipy.signal import fftconvolve
 
 from ilctools.measurement.arx.delay import with_delays
 from ilctools.measurement.arx.likelihood import polished
@@ -37,6 +38,9 @@ from ilctools.measurement.arx.quadrature import covariance
 from ilctools.measurement.arx.regressors import Data
 from ilctools.measurement.arx.trials import Trials
 from ilctools.measurement.arx.unknowns import Kind, coefficients
+
+# Smaller, less of the tail of a response is folded upon its beginning; larger, less rounding.
+FOLDED = 1e-10
 
 
 class ErrorOfP(NamedTuple):
@@ -114,14 +118,25 @@ class Regression:
         return np.array(B)
 
     def impulse(self, n: int) -> np.ndarray:
-        """Impulse responses over n samples to all inputs, (m + d, n)."""
-        return lfilter([1.0], self.denominator, self.numerators(n))
+        """Impulse responses over n samples to all inputs, (m + d, n).
+
+        Coefficients of the power series B / A: its values on a circle, transformed back. What
+        comes n_fft samples later is folded upon them, with the weight `FOLDED`.
+        """
+        longest = max(n, self.data.layout.lags + 1)
+        n_fft = next_fast_len(4 * longest)
+        circle = FOLDED ** (np.arange(longest) / n_fft)
+        B = self.numerators(n)
+        at_rest = np.cumsum(B != 0, axis=1) == 0  # until the delay is over
+        A = np.fft.rfft(self.denominator * circle[: self.data.layout.lags + 1], n_fft)
+        answers = np.fft.irfft(np.fft.rfft(B * circle[:n], n_fft) / A, n_fft)[:, :n] / circle[:n]
+        return np.where(at_rest, 0.0, answers)
 
     def residual(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """A y - B u of trials from rest, (trial, time), without start, line and drift of (1)."""
         B = self.numerators(y.shape[1])
         answer = fftconvolve(u, B.T[None], axes=1)[:, : y.shape[1]].sum(axis=2)
-        return lfilter(self.denominator, [1.0], y) - answer
+        return fftconvolve(y, self.denominator[None], axes=1)[:, : y.shape[1]] - answer
 
 
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:

@@ -20,38 +20,70 @@ from ilctools.measurement.arx.unknowns import DRIFT_KNOTS, Kind, Layout, layout_
 
 # The weight of a known P at rest among the products: it is met to a thousandth of the noise s.
 WEIGHT_AT_REST = 1e6
+STRETCH = 8192  # samples of X at a time, some 30 MB
 
 
-def regressors(series: Series, layout: Layout) -> np.ndarray:
-    """X' of a series, (unknown, time)."""
-    X, N = np.zeros((layout.size, len(series.y))), len(series.y)
-    X[layout.where(Kind.A)] = lagged(-series.y, layout.knots_of_A)
-    for j, u in enumerate(series.u.T):
-        X[layout.where(Kind.B, j)] = lagged(u, layout.knots_of_B[j])
-        X[layout.where(Kind.SLOW, j)] = [lfilter([0, 1 - p], [1, -p], u) for p in layout.poles]
-    if not layout.skipped:
-        X[layout.where(Kind.START, series.key)] = lagged(np.eye(1, N)[0], layout.knots_of_start)
-    if series.key.has_what_repeats:  # a drift is common to the trials of a group
-        # from zero before a knot to one at the next
-        ends = np.linspace(0, N - 1, DRIFT_KNOTS + 1)
-        ramps = np.clip((np.arange(N) - ends[:-1, None]) / ends[1], 0, 1)
-        X[layout.where(Kind.DRIFT, series.key.group)] = ramps
-    return X
+class Regressors:
+    """X' of a series, (unknown, time), stretch by stretch: of a long one X has gigabytes."""
+
+    def __init__(self, series: Series, layout: Layout):
+        self.samples, self.layout = len(series.y), layout
+        signals = [(Kind.A, None, -series.y, layout.knots_of_A)]
+        for j, (u, knots) in enumerate(zip(series.u.T, layout.knots_of_B, strict=True)):
+            signals.append((Kind.B, j, u, knots))
+        if not layout.skipped:
+            pulse = np.eye(1, self.samples)[0]
+            signals.append((Kind.START, series.key, pulse, layout.knots_of_start))
+        self._lagged = [(layout.where(*of), Lagged(z, knots)) for *of, z, knots in signals]
+        self._slow = [
+            (layout.where(Kind.SLOW, j), _slow_parts(u, layout.poles))
+            for j, u in enumerate(series.u.T)
+        ]
+        self._drift = None
+        if series.key.has_what_repeats:  # a drift is common to the trials of a group
+            self._drift = layout.where(Kind.DRIFT, series.key.group)
+
+    def rows(self, begin: int = 0, end: int | None = None, more: int = 0) -> np.ndarray:
+        """X' from one sample to before another, and behind it so many rows of zeros."""
+        end = self.samples if end is None else end
+        X = np.zeros((self.layout.size + more, end - begin))
+        for where, lagged in self._lagged:
+            lagged.write(X[where], begin)
+        for where, slow in self._slow:
+            X[where] = slow[:, begin:end]
+        if self._drift is not None:  # from zero before a knot to one at the next
+            ends = np.linspace(0, self.samples - 1, DRIFT_KNOTS + 1)
+            X[self._drift] = np.clip((np.arange(begin, end) - ends[:-1, None]) / ends[1], 0, 1)
+        return X
 
 
-def lagged(signal: np.ndarray, knots: np.ndarray) -> list[np.ndarray]:
+def _slow_parts(u, poles):
+    """The answers (1 - p) / (z - p) u, (pole, time)."""
+    return np.array([lfilter([0, 1 - p], [1, -p], u) for p in poles])
+
+
+class Lagged:
     """T(u) H, transposed: a signal (time,) by each column of H, (knot, time).
 
     A column of H is one from the first knot to its own, and from there falls to zero at the next in
     a straight line: it makes a running sum of u, less the mean of earlier ones.
     """
-    N, before = len(signal), knots[-1] + 1
-    sums = np.append(np.zeros(before), np.cumsum(signal))
-    now, rows = sums[before - knots[0] :][:N], []
-    for knot, gap in zip(knots, np.append(np.diff(knots), 1), strict=True):
-        earlier = uniform_filter1d(sums, gap, mode="constant", origin=(gap - 1) // 2)
-        rows.append(now - earlier[before - 1 - knot :][:N])
-    return rows
+
+    def __init__(self, signal: np.ndarray, knots: np.ndarray):
+        self._knots, self._before = knots, knots[-1] + 1
+        self._sums = np.append(np.zeros(self._before), np.cumsum(signal))
+
+    def write(self, rows: np.ndarray, begin: int = 0) -> None:
+        """Into rows (knot, time), from a sample on."""
+        knots, begin = self._knots, begin + self._before
+        end = begin + rows.shape[1]
+        now = self._sums[begin - knots[0] : end - knots[0]]
+        for row, knot, gap in zip(rows, knots, np.append(np.diff(knots), 1), strict=True):
+            # sums that are a knot and more earlier, up to the next knot
+            earlier = self._sums[begin - knot - gap : end - knot - 1]
+            if gap > 1:
+                earlier = uniform_filter1d(earlier, gap, origin=(gap - 1) // 2)[gap - 1 :]
+            np.subtract(now, earlier, out=row)
 
 
 class Data(NamedTuple):
@@ -80,9 +112,8 @@ def products(
     """
     single, means, n, n_1 = 0.0, 0.0, 0, 0
     for series in series_of(groups):
-        rows = np.vstack([regressors(series, layout), series.y, *beside(series)])
-        rows = _without_line(rows[:, layout.skipped :])
-        products, samples = rows @ rows.T, rows.shape[1] - 2
+        products = _products(Regressors(series, layout), np.vstack([series.y, *beside(series)]))
+        samples = len(series.y) - layout.skipped - 2
         if series.is_mean:
             means, n_1 = means + products, n_1 + samples
         else:
@@ -91,11 +122,18 @@ def products(
     return Data(layout, single, means, n, n_1)
 
 
-def _without_line(rows):
-    """Rows (row, time), from which offset and slope are taken out in place."""
-    line = np.linalg.qr(np.vander(np.linspace(-1, 1, rows.shape[1]), 2))[0]
-    rows -= (rows @ line) @ line.T
-    return rows
+def _products(regressors, beside):
+    """Z Z' of one series, without offset and slope, which leaves Z Z' - (Z l) (Z l)'."""
+    skipped = regressors.layout.skipped
+    line = np.linalg.qr(np.vander(np.linspace(-1, 1, beside.shape[1] - skipped), 2))[0]
+    products, on_line = 0.0, 0.0
+    for begin in range(skipped, beside.shape[1], STRETCH):
+        end = min(begin + STRETCH, beside.shape[1])
+        Z = regressors.rows(begin, end, len(beside))
+        Z[-len(beside) :] = beside[:, begin:end]
+        products = products + Z @ Z.T
+        on_line = on_line + Z @ line[begin - skipped : end - skipped]
+    return products - on_line @ on_line.T
 
 
 def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=None) -> Data:

@@ -9,7 +9,7 @@ from scipy.optimize import approx_fprime
 from scipy.signal import lfilter
 
 from ilctools.measurement.arx import unknowns
-from ilctools.measurement.arx.likelihood import likeliest, negative_log_posterior, polished
+from ilctools.measurement.arx.likelihood import Likelihood, likeliest, polished
 from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, Hyperparameters, prior
 from ilctools.measurement.arx.regressors import data_of
 
@@ -36,10 +36,12 @@ def test_the_likelihood_is_that_of_the_normal_distribution(
     by_hand = count / 2 * np.log(rest) + np.linalg.slogdet(S)[1] / 2
     by_hand += np.log(ratio)  # twice its half: offset and slope of the mean are free
     off = eta + OF_OUTPUT * np.log(rest / count) - CENTRE
-    value, gradient = negative_log_posterior(eta, data)
-    assert value == pytest.approx(by_hand + np.sum((off / WIDTH) ** 2) / 2, abs=1e-6)
-    steps = approx_fprime(eta, lambda x: negative_log_posterior(x, data)[0], 1e-6)
-    np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=1e-3)
+    at = Likelihood(eta, data)
+    assert at.value == pytest.approx(by_hand + np.sum((off / WIDTH) ** 2) / 2, abs=1e-6)
+    steps = approx_fprime(eta, lambda x: Likelihood(x, data).value, 1e-6)
+    np.testing.assert_allclose(at.gradient, steps, rtol=1e-3, atol=1e-3)
+    steps = approx_fprime(eta, lambda x: Likelihood(x, data).gradient, 1e-6)
+    np.testing.assert_allclose(at.curvature, steps, rtol=1e-4, atol=1e-4)
 
 
 def with_noise_like_a_drift(seed):
@@ -72,18 +74,24 @@ def test_of_two_minima_the_lower_one_is_found(make, seed):
     """No search from 20 other guesses finds a lower one."""
     data, rng = data_of([make(seed)], True, np.zeros(1, int)), np.random.default_rng(0)
     others = CENTRE + 6 * OF_OUTPUT + WIDTH * rng.uniform(-1, 2, (20, len(CENTRE)))
-    lowest = likeliest(data, 60, others).cost
-    assert likeliest(data, 60).cost < lowest + 0.05  # BFGS ends 0.01 above it
+    lowest = likeliest(data, others).cost
+    assert likeliest(data).cost < lowest + 1e-4  # a search ends where the gradient is 0.01
 
 
 def test_the_likeliest_eta_does_not_depend_on_where_its_search_began():
-    """BFGS leaves it apart by 0.007 of a standard deviation, and the curvature by 0.3 %."""
+    """A search leaves a gradient of 0.01, Newton steps square it three times."""
     data = data_of([with_what_repeats(29)], True, np.zeros(1, int))
-    best = likeliest(data, 60)
-    (one, S), (two, T) = (
-        polished(likeliest(data, 60, [best.eta + moved])) for moved in (0.1, -0.1)
-    )
-    # Each Newton step leaves as much as the curvature is wrong: 0.007 * 0.003^4, and rounding.
+    best = likeliest(data)
+    (one, S), (two, T) = (polished(likeliest(data, [best.eta + moved])) for moved in (0.1, -0.1))
     assert np.abs(np.linalg.solve(S, one.eta - two.eta)).max() < 1e-9
-    assert np.abs(S @ negative_log_posterior(one.eta, data)[1]).max() < 1e-9
-    np.testing.assert_allclose(S, T, atol=0.01 * np.abs(S).max())
+    assert np.abs(S @ Likelihood(one.eta, data).gradient).max() < 1e-9
+    np.testing.assert_allclose(S, T, atol=1e-6 * np.abs(S).max())
+
+
+def test_a_search_that_is_hopeless_ends_early_and_no_other_does():
+    data = data_of([with_what_repeats(29)], True, np.zeros(1, int))
+    least, first = likeliest(data), [CENTRE + 6 * OF_OUTPUT]
+    whole = likeliest(data, first)
+    assert likeliest(data, first, whole.cost + 1e-6).cost == whole.cost
+    given_up = likeliest(data, first, least.cost - 100)
+    assert given_up.cost > least.cost - 100 and np.any(given_up.eta != whole.eta)

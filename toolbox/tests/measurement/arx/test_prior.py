@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 from records import trials_of
 
-from ilctools.measurement.arx import prior as module
 from ilctools.measurement.arx.prior import (
     CENTRE,
     FIRST_GUESSES,
     Hyperparameters,
-    bounds_of,
     prior,
     standardised,
 )
-from ilctools.measurement.arx.regressors import lagged
+from ilctools.measurement.arx.regressors import Lagged
 from ilctools.measurement.arx.unknowns import Kind, layout_of
 
 ETA = Hyperparameters(
@@ -31,29 +29,28 @@ def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_de
         (Kind.A, None, 0.1, layout.knots_of_A),
     ):
         lags, first = np.arange(knots[-1] + 1), knots[0]
-        moves = np.transpose(lagged(lags == 0, knots))
-        covariance = moves * D[layout.where(kind, owner)] @ moves.T
+        moves = np.empty((len(knots), len(lags)))
+        Lagged(lags == 0, knots).write(moves)
+        covariance = moves.T * D[layout.where(kind, owner)] @ moves
         lag = np.arange(len(covariance) - first)
         kernel = np.exp(log_c - np.maximum.outer(lag, lag) / np.exp(2.0))
         np.testing.assert_allclose(covariance[first:, first:], kernel, rtol=1e-9)
         assert not covariance[:first].any()
 
 
-def test_the_slope_of_the_prior_is_that_of_differences():
+def test_slope_and_curvature_of_the_prior_are_those_of_differences():
     layout = layout_of([trials_of(1)], True, np.array([7, 2]))
     step = 1e-6
-    above, below = (
-        prior(ETA._replace(log_T=ETA.log_T + sign * step), layout).log_D for sign in (1, -1)
-    )
-    slope = prior(ETA, layout).slope
-    np.testing.assert_allclose(slope, (above - below) / (2 * step), atol=1e-7)
+    above, below = (prior(ETA._replace(log_T=ETA.log_T + sign * step), layout) for sign in (1, -1))
+    at = prior(ETA, layout)
+    for of_D, slope in (("log_D", at.slope), ("slope", at.curvature)):
+        differences = (getattr(above, of_D) - getattr(below, of_D)) / (2 * step)
+        np.testing.assert_allclose(slope, differences, atol=1e-7)
 
 
 def test_each_hyperparameter_stands_where_its_name_does():
     centre, first = Hyperparameters(*CENTRE), Hyperparameters(*FIRST_GUESSES[0])
     assert (centre.log_T, centre.log_c_SLOW, first.log_c_DRIFT) == (2.3, -5.8, -3.0)
-    bounds = Hyperparameters(*bounds_of(100))
-    assert bounds.log_T == (module.SHORTEST_LOG_T, np.log(500)) and bounds.rho == (-50.0, 50.0)
     away = Hyperparameters(*standardised(CENTRE, np.exp(-6.0)))  # noise of 5 % of the output
     assert away == pytest.approx((-2.0, -2.0, -2.0, 0.0, 0.0, 0.0, -12.0))
     np.testing.assert_array_equal(ETA.of_kinds()[[Kind.SLOW, Kind.START]], [0.3, 0.2])

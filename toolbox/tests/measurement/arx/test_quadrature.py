@@ -14,7 +14,7 @@ def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparamete
     """About the estimate, at each of the points: inverses of dense matrices."""
     groups = [trials_of(1, N=40, noise=0.3)]
     fit = regression(groups, direct=True)
-    best, S = polished(likeliest(data_of(groups, True, np.zeros(2, int)), 40))
+    best, S = polished(likeliest(data_of(groups, True, np.zeros(2, int))))
     data, expected = best.data, 0.0
     b, s = data.single[:-1, -1], data.single[-1, -1]
     points = best.eta + HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])

@@ -5,7 +5,8 @@ import pytest
 from records import dense, trials_of
 from scipy.signal import lfilter
 
-from ilctools.measurement.arx.regressors import products, regressors
+from ilctools.measurement.arx import regressors
+from ilctools.measurement.arx.regressors import Regressors, products
 from ilctools.measurement.arx.trials import series_of
 from ilctools.measurement.arx.unknowns import Kind, coefficients, layout_of
 
@@ -15,7 +16,7 @@ def test_each_regressor_is_the_response_to_a_signal():
     groups = [trials_of(2)]
     layout = layout_of(groups, True, np.array([0, 7]))
     for series in series_of(groups):
-        X = regressors(series, layout)
+        X = Regressors(series, layout).rows()
 
         def moved(signal, knots, increment):
             g = coefficients(np.eye(len(knots))[increment], knots, 60)
@@ -39,8 +40,10 @@ def test_each_regressor_is_the_response_to_a_signal():
         np.testing.assert_allclose(drift[:, [0, -1]], np.tile(ends, (len(drift), 1)), atol=1e-12)
 
 
-def test_products_are_those_of_all_rows_at_once():
-    """And with a column beside them that is found by the key of its series."""
+@pytest.mark.parametrize("stretch", [8192, 7])
+def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
+    """In short stretches, too, and with a column beside them, found by the key of its series."""
+    monkeypatch.setattr(regressors, "STRETCH", stretch)
     groups = [trials_of(2), trials_of(1, N=40)]
     layout = layout_of(groups, True, np.array([0, 7]))
     rows, means = dense(groups, layout)
