@@ -54,7 +54,7 @@ WRONG = {
             problem log path time stop note delay of Qs Rs Qo Ro base everywhere objective reset
             limits units sizes outputs measured disturbance disturbances executor""",
         ),
-        (MODEL, "P plant system"),
+        (MODEL, "P plant system model"),
         (
             POSITIVE,
             """Ts cutoff conductivity density M_max L_max weight gain length width height

@@ -163,7 +163,7 @@ def next_step(
     if between == TRANSFER and not np.array_equal(upcoming, reference):
         applied_to = np.array([applied_v(law, part) for part in parts])
         others = (np.array([part[name] for part in parts]) for name in ("y", "reference"))
-        target = first_signal(applied_to, *others, upcoming)
+        target = first_signal(applied_to, *others, upcoming, law.loop.P_v)
         target[len(target) - law.rest :] = 0
     else:
         began = np.zeros_like(v) if past else _pilot(law, now)

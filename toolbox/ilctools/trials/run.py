@@ -89,7 +89,7 @@ def run_trials(
         limits of outputs, what P and its radius let through if no disturbance repeats.
     between : {'law', 'transfer'}
         How v follows where the reference is another than in the trial before: by the law, or by
-        :func:`ilctools.transfer` from all trials so far.
+        :func:`ilctools.transfer` from all trials so far and the loop's P, if it has one.
 
     Returns
     -------

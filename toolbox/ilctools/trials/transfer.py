@@ -20,12 +20,22 @@ is left to be minimised by f, are
 So c is a random effect (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612): the mean over
 the trials has K s_c^2 / s_w^2 + 1 = 1 / rho times the variance that deviations from it promise. By
 kernels, with one trial: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
+
+*With a model* M of P, what is known of F beforehand stays out of the fit. With z_k = M^+ y_k, M^+
+its regularised inverse over a trial, (1) is
+
+    v_k + r_k = G z_k + c,    G = P^-1 M,    v = G M^+ r + c - r,                             (5)
+
+G near I, and (2) to (4) are of G - I with z_k in the place of y_k and v_k + r_k - z_k as t_k. With
+one trial G is taken to be diagonal, as if each input had an error of its own: a trial says one
+number for each output and frequency, and a matrix has m of them.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
+import control
 import numpy as np
 import xarray as xr
 from scipy.interpolate import make_interp_spline
@@ -33,7 +43,11 @@ from scipy.signal import oaconvolve
 
 from ilctools import arguments
 from ilctools.law.notes import RESET
+from ilctools.loop.closed import Loop
+from ilctools.models import Model, frequency_response, sampled_plant
+from ilctools.norm_optimal import NormOptimal
 from ilctools.signals import TRIAL_AXES, Signals, check_match, period_of
+from ilctools.singular_values import largest_singular_values
 from ilctools.trials.rms import SMALLEST_DIVISOR
 from ilctools.warn import warn
 
@@ -41,7 +55,9 @@ LAG_RATIO = 1.5  # from one lag of F to the next: fewer taps, a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
 WEIGHTS = 10.0 ** np.arange(-10, 1)  # candidates for lambda, in mean squares of the regressors
 STATIC_WEIGHT = 1e6  # of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
-PENALTY = 2.0  # unless F(0) /= 0 makes each trial so many times as likely
+DIAGONAL_WEIGHT = 1e6  # of what is not diagonal in G, a candidate beside 1: as if it were zero,
+PENALTY = 2.0  # unless the other candidate makes each trial so many times as likely
+SMALLEST_GAIN = 0.01  # of M, relative to its largest, that is inverted: below, inputs are noise
 RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
 ROUNDED_POWER = 1e-14  # of the power, below which residuals are rounding
@@ -60,7 +76,8 @@ class Transfer:
     v: np.ndarray  # ILC signal of the first trial, feedforward + compensation
     feedforward: np.ndarray  # F r
     compensation: np.ndarray  # c, of a repeating disturbance
-    F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
+    # (m, m, 2 R + 1): impulse response, from R samples ahead to R back; with a model of G - I
+    F: np.ndarray
     predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
     uncertainty: np.ndarray  # (m,): RMS by which v may be off
 
@@ -73,7 +90,9 @@ class Transfer:
             )
 
 
-def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
+def transfer(
+    trials: xr.Dataset | Sequence[xr.Dataset], reference, model: Loop | Model | None = None
+) -> Transfer:
     """Compute the first ILC signal of another task from trials of one task or of several.
 
     Parameters
@@ -88,6 +107,9 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         Of the new task, of any length; beyond the end of the trials the compensation is zero. At
         frequencies where it has power and the earlier ones had hardly any, v is a guess; above the
         cut-off of Q a law takes v away again.
+    model : control.StateSpace or a loop with a model, optional
+        What is known of the response from references to y. It may be wrong, as trials correct it:
+        one trial then says more. Default: nothing is known.
 
     Warns
     -----
@@ -123,9 +145,9 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     >>> bool(rms(first.e) < 0.1 * rms(zero.e))
     True
     """
-    v, y, references, outputs = _signals(trials)
+    v, y, references, outputs, period = _signals(trials)
     reference = arguments.in_columns("reference", reference, ("time", y.shape[2]), outputs)
-    result = _fitted(v, y, references, reference)
+    result = _fitted(v, y, references, reference, _model(model, outputs, period))
     for i, name in enumerate(outputs):
         for text in _warnings(result, i, name):
             warn(text)
@@ -159,32 +181,80 @@ def _signals(trials):
         shape = "trial", *y.shape[1:]
         return [arguments.in_columns(f"trials.{name}", x[name], shape, outputs) for x in tasks]
 
-    return *(np.concatenate(of_all(name)) for name in signals), outputs
+    return *(np.concatenate(of_all(name)) for name in signals), outputs, period_of(tasks[0])
 
 
-def first_signal(v, y, references, reference) -> np.ndarray:
-    """v for a reference (time, m), from signals of trials, (trial, time, m)."""
-    return _fitted(v, y, references, reference).v
+def _model(model, outputs, period):
+    """P as a model; None if nothing is known."""
+    if isinstance(model, Loop):
+        if model.P_v is None or not model.one_for_one:
+            raise ValueError(
+                "model is a loop without P, or with another v than transfer's: give P as a "
+                "state-space model from references to outputs, or leave model out"
+            )
+        check_match(trials=Signals(period), model=model)
+        return model.P_v
+    if model is None:
+        return None
+    P = sampled_plant(model, "model")
+    arguments.stable("model", P.poles())
+    if (P.noutputs, P.ninputs) != (len(outputs), len(outputs)):
+        raise ValueError(
+            f"model has {P.noutputs} outputs and {P.ninputs} inputs, but the trials have "
+            f"{len(outputs)} outputs, each with a reference"
+        )
+    check_match(trials=Signals(period), model=Signals(P.dt))
+    return P
 
 
-def _fitted(v, y, references, reference):
+def first_signal(v, y, references, reference, model: Model | None = None) -> np.ndarray:
+    """v for a reference (time, m), from signals of trials, (trial, time, m), and from P's model."""
+    return _fitted(v, y, references, reference, model).v
+
+
+def _inverse(model, size, samples):
+    """M^+ of (5) over so many samples, of signals (time, m) whose sizes are (m,)."""
+    if model is None:
+        return lambda signal: signal
+    M = control.ss(
+        model.A, model.B * size, model.C / size[:, None], model.D * size / size[:, None], model.dt
+    )
+    omega = np.pi / model.dt * np.arange(1, 257) / 256
+    gain = largest_singular_values(frequency_response(M, omega)).max()
+    least_squares = NormOptimal(M, (SMALLEST_GAIN * gain) ** 2, samples)
+    return lambda signal: least_squares.apply(signal / size) * size
+
+
+def _sizes(signals):
+    """RMS of each channel of trials, (m,); one for zero."""
+    size = np.sqrt(np.mean(signals**2, axis=(0, 1)))
+    size[size == 0] = 1.0
+    return size
+
+
+def _fitted(v, y, references, reference, model):
     """F and c of trials, (trial, time, m), and what they make of another reference, (time, m)."""
     _, samples, m = y.shape
-    size = np.sqrt(np.mean(y**2, axis=(0, 1)))
-    size[size == 0] = 1.0
+    inverse, new_inverse = (_inverse(model, _sizes(y), N) for N in (samples, len(reference)))
+    z, z_new = np.array([inverse(output) for output in y]), new_inverse(reference)
+    size = _sizes(z)
     basis = _basis(max(1, samples // 2))
-    fits = _Fits([_taps(output / size, basis) for output in y], references + v - y)
+    known = model is not None
+    fits = _Fits([_taps(one / size, basis) for one in z], references + v - z, known)
     f, without = fits.likeliest(RATIOS if len(y) > 1 else RATIOS[:1])
     rho, predicted = fits.variances(without)
     by_differences, _ = fits.likeliest([0.0])  # between trials, alone
 
-    new = _taps(reference / size, basis)
-    v = fits.first_signal(new, f, rho)
-    jackknife = (1 - 1 / BLOCKS) * np.sum((fits.first_signal(new, without, rho) - v) ** 2, axis=0)
-    distance = fits.first_signal(new, by_differences, 0.0) - v
+    new = _taps(z_new / size, basis)
+    by_fit = fits.first_signal(new, f, rho)
+    v = z_new - reference + by_fit
+    apart = fits.first_signal(new, without, rho) - by_fit
+    jackknife = (1 - 1 / BLOCKS) * np.sum(apart**2, axis=0)
+    distance = fits.first_signal(new, by_differences, 0.0) - by_fit
     uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
     F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
-    return Transfer(v, new @ f, v - new @ f, F, predicted, uncertainty)
+    feedforward = z_new - reference + new @ f
+    return Transfer(v, feedforward, v - feedforward, F, predicted, uncertainty)
 
 
 def _basis(reach):
@@ -215,10 +285,16 @@ def _products(columns):
 
 
 class _Fits:
-    """Fits of m targets t_k by p regressors Phi_k, shapes (trial, time, m) and (trial, time, p)."""
+    """Fits of m targets t_k by p regressors Phi_k, shapes (trial, time, m) and (trial, time, p).
 
-    def __init__(self, Phi, t):
+    `known`: whether they are deviations from a model, which may be diagonal.
+    """
+
+    def __init__(self, Phi, t, known=False):
         self.K, _, self.m = t.shape
+        self.coupling = (1.0,)  # weights of what is not diagonal
+        if known and self.m > 1:
+            self.coupling = (1.0, DIAGONAL_WEIGHT) if self.K > 1 else (DIAGONAL_WEIGHT,)
         columns = np.concatenate([Phi, t], axis=2)
         self.mean = columns.mean(axis=0)
         within = sum(map(_products, columns - self.mean))
@@ -231,21 +307,26 @@ class _Fits:
 
     def likeliest(self, ratios):
         """f by the likeliest weights of each output, shape (p, m), and f without each block."""
-        candidates = [*product(ratios, (1.0, STATIC_WEIGHT), WEIGHTS)]
+        candidates = [*product(ratios, (1.0, STATIC_WEIGHT), self.coupling, WEIGHTS)]
         best = np.argmax([self.likelihood(*weights) for weights in candidates], axis=0)
         fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
         f, *without = np.stack(fits, axis=-1)
         return f, np.array(without)
 
-    def solve(self, rho, static, weight):
+    def solve(self, rho, static, coupling, weight):
         """f of (4), of all blocks, and without each, shape (1 + blocks, p, m)."""
         blocks = np.tensordot([1, rho], self.products, 1)
         total = blocks.sum(axis=0)
         sums, p = np.concatenate([total[None], total - blocks]), len(total) - self.m
-        D = np.ones((self.m, p // self.m))
-        D[:, D.shape[1] // 2] = static
-        penalty = weight * (np.mean(np.diagonal(total)[:p]) or 1.0) * np.diag(D.ravel())
-        return np.linalg.solve(sums[:, :p, :p] + penalty, sums[:, :p, p:])
+        mean, taps = np.mean(np.diagonal(total)[:p]) or 1.0, p // self.m
+        f = []
+        for i in range(self.m):
+            D = np.ones((self.m, taps))
+            D[:, taps // 2] = static
+            D[np.arange(self.m) != i] *= coupling
+            penalty = weight * mean * np.diag(D.ravel())
+            f.append(np.linalg.solve(sums[:, :p, :p] + penalty, sums[:, :p, [p + i]]))
+        return np.concatenate(f, axis=2)
 
     def squares(self, f):
         """Sums of squares of t - Phi f, within and between trials, each block by its own f."""
@@ -253,13 +334,14 @@ class _Fits:
         R = np.concatenate([-f, one], axis=1)  # from (Phi, t) to t - Phi f
         return np.maximum(0, np.sum(R * (self.products @ R), axis=(1, 2)))  # of rounding
 
-    def likelihood(self, rho, static, weight):
+    def likelihood(self, rho, static, coupling, weight):
         """Logarithm of the likelihood of each output in blocks that were left out of the fit."""
-        without = self.solve(rho, static, weight)[1:]
+        without = self.solve(rho, static, coupling, weight)[1:]
         no_F = np.zeros_like(without)
         power = self.squares(no_F).sum(axis=0)
         floor = ROUNDED_POWER * np.where(power > 0, power, 1.0)
-        prior = self.K * np.log(PENALTY) if static == 1 else 0.0
+        free = (static == 1) + (coupling == 1 and len(self.coupling) > 1)
+        prior = self.K * np.log(PENALTY) * free
         return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
     def variances(self, without):

@@ -147,8 +147,11 @@ def test_units_do_not_matter():
     v, scale = np.random.default_rng(0).standard_normal((200, 2)), np.array([1e3, 1e-4])
     run = run_trials(ClosedLoop(coupled()[0]), Law(Q, None), OLD, trials=1, v=v)
     other = run.assign({name: scale * run[name] for name in ("v", "y", "reference")})
-    here, there = transfer(run, NEW), transfer(other, NEW * scale)
-    np.testing.assert_allclose(there.v, here.v * scale, rtol=1e-6, atol=1e-6)
+    P = coupled(1.2)[0]
+    scaled = control.ss(P.A, P.B / scale, (P.C.T * scale).T, 0, 1.0)
+    for models in ((None, None), (P, scaled)):
+        here, there = transfer(run, NEW, models[0]), transfer(other, NEW * scale, models[1])
+        np.testing.assert_allclose(there.v, here.v * scale, rtol=1e-6, atol=1e-6)
 
 
 def test_what_does_not_belong_together_is_refused():
@@ -186,15 +189,15 @@ def test_what_a_fit_misses_below_rounding_makes_it_no_more_likely(seed):
     rng = np.random.default_rng(seed)
     Phi, f = rng.standard_normal((3, 200, 4)), rng.standard_normal((4, 1))
     fits = _Fits(Phi, Phi @ f)
-    faint = [fits.likelihood(1.0, 1.0, weight)[0] for weight in (1e-9, 1e-10)]
+    faint = [fits.likelihood(1.0, 1.0, 1.0, weight)[0] for weight in (1e-9, 1e-10)]
     assert abs(np.diff(faint)) < len(Phi) * 10 * np.finfo(float).eps / ROUNDED_POWER
-    strong = fits.likelihood(1.0, 1.0, 1e-3)[0]
+    strong = fits.likelihood(1.0, 1.0, 1.0, 1e-3)[0]
     assert strong < min(faint) - 10  # which misses 1e-6 of the power, far above rounding
 
 
 @pytest.mark.parametrize("P", [lag(0.8), lags(), axes()])
 def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
-    """The plant is 12 % stronger, and there is noise: from trial 2 on noise alone is left."""
+    """The plant is 12 % stronger, and there is noise: from trial 2 on hardly more is left."""
     Ts, p, samples = P.dt, P.noutputs, 150
     rng, time = np.random.default_rng(0), np.arange(150) / 150
     moves = [np.clip((time - 0.1) / rng.uniform(0.4, 0.8), 0, 1) for _ in range(8)]
@@ -210,8 +213,49 @@ def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
         save_log(with_law(predicted, law.bound_to(loop)), tmp_path / "a.csv")
         replayed = replay(load_log(tmp_path / "a.csv"))
     assert not predicted.v[:, -4:].any()
+    assert rms(predicted)[1] < 0.03 * min(rms(predicted)[0], rms(kept)[1])
     assert rms(predicted)[2:].max() < 3e-3 * np.sqrt(p) < rms(kept)[2:].max()
     assert "the recorded v is that of the law in every trial" in str(replayed)
+
+
+def with_gains(P, gains):
+    """The plant behind other gains of its inputs, (m, m)."""
+    names = {"inputs": P.input_labels, "outputs": P.output_labels}
+    return control.ss(P.A, P.B @ gains, P.C, P.D @ gains, P.dt, **names)
+
+
+@pytest.mark.parametrize("P", [lags(), axes()])
+@pytest.mark.parametrize("seed", range(3))
+def test_with_a_model_one_trial_says_more_and_a_wrong_model_does_no_harm(P, seed):
+    """The plant has other gains, coupled ones among them; a new task of another length."""
+    rng, time = np.random.default_rng(seed), np.arange(150) / 150
+    shapes = [np.sin(np.pi * np.clip((time - 0.1) / x, 0, 1)) ** 4 for x in (0.5, 0.7, 0.6)]
+    old = np.array([np.outer(shapes[k], rng.uniform(0.5, 1.5, 2)) for k in (0, 1, 0)])
+    new = np.pad(np.outer(shapes[2], rng.uniform(0.5, 1.5, 2)), [(0, 30), (0, 0)])
+    plant = with_gains(P, np.eye(2) + 0.05 * rng.standard_normal((2, 2)))
+    loop, law = ClosedLoop(P), Law(zero_phase_butterworth(2, 1 / P.dt, P.dt), None)
+
+    def left(trials, model):
+        done = run_trials(loop, law, old[:trials], trials=trials, plant=plant, noise=noise[:trials])
+        v = transfer(done, new, model).v
+        return rms(run_trials(loop, law, new, trials=1, plant=plant, v=v)).item()
+
+    noise = 1e-4 * rng.standard_normal((3, 150, 2))
+    assert left(1, loop) < 0.5 * left(1, None)
+    far_off = with_gains(P, np.array([[1.5, 0.3], [-0.3, 0.7]]))
+    assert left(3, far_off) < max(2 * left(3, None), 1e-3)
+
+
+def test_a_model_that_does_not_belong_to_the_trials_is_refused():
+    done = trials_of(ClosedLoop(coupled()[0]), trials=2)
+    for model, words in (
+        (lag(), "model has 1 outputs and 1 inputs, but the trials have 2 outputs"),
+        (ClosedLoop(Ts=1.0, outputs=["y1", "y2"]), "model is a loop without P"),
+        (control.ss(np.eye(2), np.eye(2), np.eye(2), 0, 1.0), "model"),
+        (control.ss([], [], [], np.eye(2), 0.5), "Ts"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            transfer(done, NEW, model)
 
 
 def test_what_transfer_between_trials_needs_is_said():
