@@ -213,7 +213,7 @@ def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
         save_log(with_law(predicted, law.bound_to(loop)), tmp_path / "a.csv")
         replayed = replay(load_log(tmp_path / "a.csv"))
     assert not predicted.v[:, -4:].any()
-    assert rms(predicted)[1] < 0.03 * min(rms(predicted)[0], rms(kept)[1])
+    assert rms(predicted)[1] < 8e-3 < 0.1 * min(rms(predicted)[0], rms(kept)[1])
     assert rms(predicted)[2:].max() < 3e-3 * np.sqrt(p) < rms(kept)[2:].max()
     assert "the recorded v is that of the law in every trial" in str(replayed)
 
