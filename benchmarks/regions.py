@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.polynomial.polynomial import polyadd
 from records import backlash, dead, held, in_a_loop, steps
 from runner import publish, run, table
-from scipy.signal import freqz, lfilter
+from scipy.signal import cont2discrete, freqz, lfilter
 
 from ilctools import (
     InfeasibleError,
@@ -79,6 +79,12 @@ def fast_and_slow(rng):
     """A lag of 10 samples, and beside it one of 200 to 400 with a tenth to a fifth of the gain."""
     share = rng.uniform(0.1, 0.2)
     return beside(first_order(10.0, 1 - share), first_order(rng.uniform(200, 400), share))
+
+
+def undershooting(rng):
+    """A lag of 4 to 8 samples, less one of 150 to 400 with a fifth to a half of the gain."""
+    fast, slowly = first_order(rng.uniform(4, 8)), rng.uniform(150, 400)
+    return beside(fast, first_order(slowly, -rng.uniform(0.2, 0.5)))
 
 
 def held_noise(rng, N, samples=3):
@@ -227,6 +233,25 @@ def saturating(rng, trials=20, N=150):
     return several(u[..., None], y[..., None], "u"), [[plant]]
 
 
+def integrator(rng):
+    """An integrator, which does not settle."""
+    return np.array([0, rng.uniform(0.02, 0.1)]), np.array([1.0, -1.0])
+
+
+def spring(rng, N=2000, stiffening=0.1):
+    """A resonance whose spring stiffens with the square of its travel; the truth is for none."""
+    u, omega, damping, step = held_noise(rng, N), 0.3, 0.02, 0.25
+    y, v, x = [], 0.0, 0.0
+    for force in u:
+        y.append(x)
+        for _ in range(round(1 / step)):
+            pull = omega**2 * (x + stiffening * x**3) + 2 * damping * omega * v
+            v += step * (omega**2 * force - pull)
+            x += step * v
+    b, a, _ = cont2discrete(([omega**2], [1, 2 * damping * omega, omega**2]), 1.0)
+    return single(u, np.array(y) + white(rng, N)), [[(b[0], a)]]
+
+
 noisy = partial(open_loop, excite=held_noise)
 swept = partial(open_loop, excite=partial(held_noise, samples=10), N=400)
 CURVED = {
@@ -234,6 +259,10 @@ CURVED = {
     "quadratic": partial(noisy, N=400, bent=lambda u: u + 0.2 * u**2),
     "gain drifts by 20 %": partial(noisy, N=400, drift=0.2),
     "a loop without its reference": regulated,
+    "cubic, 1 %": partial(noisy, N=2000, bent=lambda u: u + 0.01 * u**3),
+    "gain drifts by 4 %": partial(noisy, N=2000, drift=0.04),
+    "a spring that stiffens": spring,
+    "an integrator": partial(noisy, N=600, make=integrator),
     "backlash": partial(swept, bent=partial(backlash, gap=0.3)),
     "dead zone": partial(swept, bent=partial(dead, zone=0.6)),
 }
@@ -259,6 +288,9 @@ KINDS = {
     ),
     "fast and slow": partial(
         open_loop, make=fast_and_slow, excite=partial(held_noise, samples=60), N=800
+    ),
+    "fast, less a slow part": partial(
+        open_loop, make=undershooting, excite=partial(held_noise, samples=20), N=800
     ),
     "a long delay, noise": partial(noisy, make=late, N=2000),
     "a long delay, steps": partial(open_loop, make=late, N=2000),

@@ -14,7 +14,8 @@ other:
   another gain, another delay;
 - the sign of the last move of each input, as the plant passes it on: of an input through backlash,
   u less half the gap times this sign comes out;
-- squares and cubes of the inputs, likewise, and of the simulated output: a curve, a dead zone.
+- squares and cubes of the inputs and of the simulated output, likewise, and of the simulated output
+  by itself: a curve, a dead zone, a spring that is not linear.
 
 All of these are about P. The simulated output of the first hypothesis is the answer to the
 commanded inputs, and the inputs of the others are these. What a known disturbance does is in the
@@ -47,7 +48,6 @@ from ilctools.measurement.arx.trials import Series, Trials, contrasts, longest_o
 from ilctools.measurement.arx.unknowns import Kind
 
 FALSE_ALARM = 1e-3  # probability for each output
-SEEN = 0.02  # of P: what is smaller is not said
 # The first coefficient of an impulse response, relative to the sum of all: no plant has more than
 # WHOLE of it at once, nor HALF where u(t) explains ALMOST_ALL times the power of the rest: counted.
 WHOLE, HALF, ALMOST_ALL = 1.1, 0.5, 1e6
@@ -113,7 +113,7 @@ def contradictions(
             more = max(found.explained(gains + columns) - of_gains, 0)
             by = np.sqrt(more / found.power_of(columns[:1] if of_part else gains[: fit.commanded]))
             F = n * more / k / fit.posterior.r  # (2)
-            if by > SEEN and fdtrc(k, n, F) < level:
+            if fdtrc(k, n, F) < level:
                 yield Contradiction(words, by)
     if not reference and _at_once(fit, level):
         yield Contradiction(FOLLOWS, 1.0)
@@ -125,7 +125,7 @@ def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
     for group in groups:
         alone = len(group.y) == 1
         asked += [Hypothesis(f"the course of {k}" if alone else k, 2, True) for k in group.names]
-    return [*asked, Hypothesis(PLAY, m, False), Hypothesis(CURVED, 2 * m + 2, False)]
+    return [*asked, Hypothesis(PLAY, m, False), Hypothesis(CURVED, 4 * m + 2, False)]
 
 
 def score(
@@ -183,8 +183,11 @@ def _of_group(fit, g, group):
     y = _through(g, group.u).sum(axis=2, keepdims=True)
     own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
     own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
-    # a curve or dead zone before the plant, or behind it
-    powers = np.concatenate([_through(of_P, u**2), _through(of_P, u**3), y**2, y**3], axis=2)
+    # a curve or dead zone before the plant, behind it, or fed back, as of a spring: by y as it was
+    # measured before, from which its noise at t is independent
+    earlier = np.pad(group.y, [(0, 0), (1, 0), (0, 0)])[:, :-1]
+    before = (_through(of_P, z**k) for z in (u, np.repeat(earlier, u.shape[2], 2)) for k in (2, 3))
+    powers = np.concatenate([*before, y**2, y**3], axis=2)
     columns = own, _through(of_P, _last_move(u)), powers
     own, *shared = (_through(fit.denominator[:, None], z - z[:, :1]) for z in columns)  # A Z
     return _OfGroup(own.swapaxes(1, 2), contrasts(np.concatenate(shared, axis=2)))

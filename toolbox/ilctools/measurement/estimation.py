@@ -53,8 +53,14 @@ INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divide
 HANKEL_ROWS = 300  # samples; states of a model at most
 ROUNDING_OF_HANKEL = 1e-12  # of the largest singular value, below which it is rounding
 STATED_FREQUENCIES = 200  # at which P is stated
+MODEL_NEAR = 0.1  # of the largest P: so near is a model, also where the radius is larger
+SEEN = 0.02  # of P: smaller contradictions widen the radius, but are not said
 WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
 UNSTABLE = 0.77  # smaller, it is said of fewer plants that do not settle; larger, of more that do
+# P rises as that of an integrator if, from twice the lowest frequency that the record resolves down
+# to that one, it grows by more than this: an integrator's by 2, of a lag of a sixth of the record
+# by 1.6. Counted, as is how many times its radius P must be at rest for a lag to be sure.
+RISE, SURE_OF_REST = 1.9, 3.0
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
 
@@ -117,17 +123,38 @@ class EstimatedResponse(Measured):
         discrete Fourier transform are: below 2 pi / T it cannot tell a slow motion from an offset
         or a drift, and the prior decides. If P is identified only there, it may begin there.
         """
-        fits = self.omega >= 2 * np.pi / (self.record.longest * self.loop.Ts)
+        fits = self.omega >= self._lowest
         return self.known & fits if np.any(self.known & fits) else self.known
+
+    @property
+    def _lowest(self):
+        """2 pi / T, rad/s: a period of it fits into the longest record."""
+        return 2 * np.pi / (self.record.longest * self.loop.Ts)
 
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
         shares = UNSTABLE * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
-        for name, fit, share in zip(self.loop.outputs, self.fits, shares, strict=True):
-            if not fit.stable and (share < 1 or not self.known.any()):
-                raise LogError(f"{name} does not settle: {LOOP}")
-            if not fit.stable or share >= 1:
+        rising, lowest = self._rises(), self._lowest
+        for i, (name, fit) in enumerate(zip(self.loop.outputs, self.fits, strict=True)):
+            if not fit.stable and (shares[i] < 1 or not self.known.any()):
+                grows = fit.grows_at / self.loop.Ts
+                where = f"at about {grows:.2g} rad/s"
+                if grows < lowest:
+                    where = f"more slowly than at {lowest:.2g} rad/s, which a record just resolves"
+                raise LogError(f"{name} does not settle, but grows {where}: {LOOP}")
+            if not fit.stable or shares[i] >= 1:
                 yield f"{name} may not settle, or is disturbed in cycles: {LOOP}"
+            elif rising[i] and not self.apart:
+                yield (
+                    f"{name} may not settle: down to {lowest:.2g} rad/s, the lowest frequency that "
+                    f"a record of this length resolves, P rises as that of an integrator. {LOOP}"
+                )
+
+    def _rises(self):
+        """Whether P to each output rises as that of an integrator, and is uncertain at rest."""
+        one, two = np.linalg.norm(self._at(self._lowest * np.array([1.0, 2.0])), axis=2)
+        at_rest = largest_singular_values(self.response[:1]) < SURE_OF_REST * self.radius()[0]
+        return at_rest & (one > RISE * two)
 
     def _at(self, omega):
         rows = [fit.response(omega * self.loop.Ts) for fit in self.fits]
@@ -163,12 +190,18 @@ class EstimatedResponse(Measured):
         return replace(self, units=self.units * of_P)
 
     def model(self) -> control.StateSpace:
-        """A model within the joint radius of 99 %, of which the next lower order is not.
+        """A model near P, of which the next lower order is not.
+
+        Near is within the joint radius of 99 % and, where a period fits into a record, within a
+        tenth of the largest P: of a record that says little, too, the model is like the estimate.
 
         Balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
         (1978) 705-714); a delay is states, too. A LogError if no order is enough.
         """
         radius, (inputs, outputs) = self.radius(CONFIDENCE, jointly=True), self.names
+        fits = self.omega >= self._lowest  # below, a record cannot tell what P is
+        most = MODEL_NEAR * largest_singular_values(self.response[fits]).max()
+        radius[fits] = np.minimum(radius[fits], most)
         rows = min(HANKEL_ROWS, self.record.longest - 1)
         impulses = [fit.impulse(2 * rows + 1)[: len(inputs)] for fit in self.fits]
         full, S = control.eigensys_realization(self.units[..., None] * impulses, rows, rows, rows)
@@ -186,7 +219,7 @@ class EstimatedResponse(Measured):
         if n < len(orders):
             return of_order(n)
         raise LogError(
-            f"P has no model of up to {n - 1} states within its radius: take its frequency "
+            f"P has no model of up to {n - 1} states that is near enough: take its frequency "
             "response, frd(), or move the input less at high frequencies"
         )
 
@@ -218,7 +251,7 @@ class EstimatedResponse(Measured):
             f"{confidence:g}",
             Assumed(
                 "the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-                f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside two "
+                f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside three "
                 "slow parts"
             ),
         ]
@@ -260,9 +293,10 @@ def estimated_response(
     ):
         groups = [replace(group, y=group.y[..., [i]]) for group in record.groups]
         fits.append(regression(groups, record.direct, record.delay, gain))
-        if said := sorted(contradictions(fits[i], groups, noted), key=lambda one: -one.by):
+        found = sorted(contradictions(fits[i], groups, noted), key=lambda one: -one.by)
+        apart = max([apart, *(one.by for one in found)])  # what is too small to be said, too
+        if said := [one for one in found if one.by > SEEN]:
             contradictory.append(_in_words(name, said))
-            apart = max(apart, said[0].by)
     nyquist = np.pi / record.loop.Ts
     omega = np.geomspace(nyquist / (2 * record.longest), nyquist, STATED_FREQUENCIES)
     estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)

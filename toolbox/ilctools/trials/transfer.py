@@ -243,18 +243,22 @@ def _fitted(v, y, references, reference, model):
     fits = _Fits([_taps(one / size, basis) for one in z], references + v - z, known)
     f, without = fits.likeliest(RATIOS if len(y) > 1 else RATIOS[:1])
     rho, predicted = fits.variances(without)
-    by_differences, _ = fits.likeliest([0.0])  # between trials, alone
-
     new = _taps(z_new / size, basis)
     by_fit = fits.first_signal(new, f, rho)
     v = z_new - reference + by_fit
-    apart = fits.first_signal(new, without, rho) - by_fit
-    jackknife = (1 - 1 / BLOCKS) * np.sum(apart**2, axis=0)
-    distance = fits.first_signal(new, by_differences, 0.0) - by_fit
-    uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
+    uncertainty = _uncertainty(fits, new, by_fit, without, rho)
     F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
     feedforward = z_new - reference + new @ f
     return Transfer(v, feedforward, v - feedforward, F, predicted, uncertainty)
+
+
+def _uncertainty(fits, new, by_fit, without, rho):
+    """By how much v moves without a block of time, or by differences between trials alone, (m,)."""
+    apart = fits.first_signal(new, without, rho) - by_fit
+    jackknife = (1 - 1 / BLOCKS) * np.sum(apart**2, axis=0)
+    by_differences, _ = fits.likeliest([0.0])
+    distance = fits.first_signal(new, by_differences, 0.0) - by_fit
+    return np.sqrt(np.mean(jackknife + distance**2, axis=0))
 
 
 def _basis(reach):

@@ -18,11 +18,12 @@ from ilctools.measurement.consistency import (
     contradictions,
     score,
 )
+from ilctools.measurement.estimation import SEEN
 
 
-def said(groups, reference=True):
+def said(groups, reference=True, least=SEEN):
     fit = regression(groups, not reference)
-    return {words for words, _ in contradictions(fit, groups, reference)}
+    return {words for words, by in contradictions(fit, groups, reference) if by > least}
 
 
 def lagged(u, rng, noise=0.03):
@@ -71,7 +72,22 @@ def test_a_dead_zone_and_backlash_are_said_but_not_what_is_hardly_curved():
         behind = backlash(u[0], 0.3)[None]
         assert PLAY in said([group_of(lagged(behind, rng), u)])
         assert CURVED in said([group_of(lagged(dead(u, 0.6), rng), u)])
-        assert not said([group_of(lagged(u + 0.003 * u**3, rng, 1e-4), u)])
+        groups = [group_of(lagged(u + 0.003 * u**3, rng, 1e-4), u)]
+        assert not said(groups) and CURVED in said(groups, least=0.002)
+
+
+def test_a_spring_that_stiffens_is_said():
+    """A resonance whose spring is stronger by a hundredth of the square of its travel."""
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        u, y = np.repeat(rng.standard_normal((1, 500)), 3, axis=1), np.zeros((1, 1500))
+        for t in range(2, 1500):
+            force = u[0, t - 1] - 0.01 * y[0, t - 1] ** 3
+            y[0, t] = 1.9 * y[0, t - 1] - 0.98 * y[0, t - 2] + 0.08 * force
+        noisy = y + 0.03 * rng.standard_normal(y.shape)
+        assert CURVED in said([group_of(noisy, u)])
+        linear = lfilter([0, 0.08], [1, -1.9, 0.98], u) + 0.03 * rng.standard_normal(y.shape)
+        assert not said([group_of(linear, u)])
 
 
 @pytest.mark.parametrize(

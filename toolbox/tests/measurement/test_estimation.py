@@ -1,15 +1,18 @@
 """What an estimate says: its region, its model, and whether a log contradicts it."""
 
+import warnings
+
 import numpy as np
 import pytest
 from plants import lag, lags, stage, tanks
-from records import answer, covers, held, in_a_loop, log_of, moved
+from records import answer, covers, error, held, in_a_loop, log_of, moved
 from scipy.signal import lfilter
 
 from ilctools import current_trial_loop, measured_response
 from ilctools.law.notes import loop_note
 from ilctools.measurement.estimation import quantile
 from ilctools.signals import dataset
+from ilctools.singular_values import largest_singular_values
 
 LAG = lag()
 SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
@@ -58,6 +61,50 @@ def test_another_log_contradicts_or_does_not():
         assert not same.contradicts and same.by == 0
     twice = estimate.check(moved(2 * LAG, 100, seed=2))
     assert twice.contradicts and twice.by == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("poles", "where"),
+    [
+        ([1.03 * np.exp(0.5j), 1.03 * np.exp(-0.5j)], "at about 0.5 rad/s"),
+        ([1.01], "more slowly than at 0.021 rad/s, which a record just resolves"),
+    ],
+)
+def test_where_a_plant_that_does_not_settle_grows_is_said(poles, where):
+    rng, N = np.random.default_rng(0), 300
+    u = held(rng, 3, N)
+    y = lfilter([0, 0.1], np.poly(poles).real, u)
+    with pytest.raises(ValueError, match=f"y0 does not settle, but grows {where}: learning"):
+        measured_response(log_of(u[None], (y + 0.01 * y.std() * rng.standard_normal(N))[None]))
+
+
+def test_an_integrator_is_said_to_rise_and_a_lag_is_not():
+    """Over five draws; the lag has a sixth of the record as its time constant."""
+    for seed in range(5):
+        rng, N = np.random.default_rng(seed), 600
+        u = held(rng, 10, N)
+        for pole, rises in ((1.0, True), (np.exp(-1 / 100), False)):
+            y = lfilter([0, 0.05], [1, -pole], u)
+            y = y + 0.05 * y.std() * rng.standard_normal(N)
+            try:
+                with warnings.catch_warnings(record=True) as seen:
+                    warnings.simplefilter("always")
+                    measured_response(log_of(u[None], y[None]))
+                said = "as that of an integrator" in " ".join(str(one.message) for one in seen)
+            except ValueError as refused:
+                said = "does not settle" in str(refused)
+            assert said == rises
+
+
+def test_a_record_that_says_little_has_a_model_with_states_too():
+    """Of a lag under as much noise, whose region has P = 0 in it."""
+    plant = lag(0.95)
+    estimate = measured_response(moved(plant, 120, noise=1.0, samples=5))
+    size = largest_singular_values(estimate.response)
+    assert np.any(estimate.radius(0.99, jointly=True) > size)
+    model = estimate.model()
+    fits = estimate.omega > 2 * np.pi / 120
+    assert model.nstates and error(estimate, model)[fits].max() <= 0.1001 * size[fits].max()
 
 
 def test_a_loop_whose_reference_is_not_known_is_refused():

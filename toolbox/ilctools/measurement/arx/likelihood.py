@@ -8,17 +8,15 @@ of the weight w among n, the negative logarithm of its density times the prior o
 as s^2 = r / n is the likeliest. Some entries of eta are relative to the output, see `prior`: their
 distance from the centre is that of eta + log s^2.
 
-The gradient and the curvature are exact. With t = log D, z = D^(-1/2) x and V = (U' U)^-1,
+The gradient and the curvature are exact. Let J_k and w_k be the slopes of log D and of w over entry
+k of eta, z = D^(-1/2) x, V = (U' U)^-1, and of means over trials e_1 = y_1 - X_1 x,
+g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). With D^(1/2) (.) D^(1/2) taken as fixed,
+U' U moves by M_k = w_k K - diag(J_k), its product with z by q_k = w_k g + diag(J_k) z, and
 
-    dr / dt_i = -z_i^2,               d^2 r / dt_i dt_j = -2 z_i V_ij z_j  (+ z_i^2 if i = j),
-    dlog|U| / dt_i = (1 - V_ii) / 2,  d^2 log|U| / dt_i dt_j = -V_ij^2 / 2  (+ V_ii / 2),      (4a)
+    dr = w_k e_1' e_1 - z' diag(J_k) z,          d^2 r = -2 q_k' V q_l + ...,
+    d log |U| = (tr V M_k + sum of J_k) / 2,     d^2 log |U| = -tr(V M_k V M_l) / 2 + ...,     (4a)
 
-and with X_1 and y_1 of means over trials, e_1 = y_1 - X_1 x, g = D^(1/2) X_1' e_1 and
-K = D^(1/2) X_1' X_1 D^(1/2),
-
-    dr / dw = e_1' e_1,             d^2 r / dw^2 = -2 g' V g,            d^2 r / dw dt = -2 z V g,
-    dlog|U| / dw = tr(V K) / 2,     d^2 log|U| / dw^2 = -tr(V K V K) / 2,
-    d^2 log|U| / dw dt_i = (V K V)_ii / 2.                                                     (4b)
+where the dots are what the curvature of D and of w adds to the slopes.
 
 With a drift and without one (4) may have a minimum each: the search starts near both.
 """
@@ -67,75 +65,70 @@ class Likelihood:
     @cached_property
     def _slopes(self):
         """The gradient and the curvature of (4)."""
-        r, log_U = self._of_variances()
-        if self.data.n_1:
-            r, log_U = self._with_means(r, log_U)
+        r, log_U = self._of_parts()
         of_r = r.first / self._at.r  # those of log r
         curved = r.second / self._at.r - np.outer(of_r, of_r)
         # n' = n + 2 sum (eta - centre) / width^2 over what is relative to the output
         n = self.data.n + 2 * OF_OUTPUT @ (self._away / WIDTH)
         moved = np.diag(1 / WIDTH) + np.outer(OF_OUTPUT / WIDTH, of_r)  # of what is standardised
         gradient = n / 2 * of_r + log_U.first + self._away / WIDTH
-        return gradient, n / 2 * curved + log_U.second + moved.T @ moved
+        return Slopes(gradient, n / 2 * curved + log_U.second + moved.T @ moved)
 
     @property
     def gradient(self) -> np.ndarray:
         """Of (4) over eta, (entry,)."""
-        return self._slopes[0]
+        return self._slopes.first
 
     @property
     def curvature(self) -> np.ndarray:
         """Of (4) over eta, (entry, entry)."""
-        return self._slopes[1]
+        return self._slopes.second
 
-    @cached_property
-    def _V(self):
-        half = self._at.inverse()
-        return np.triu(half) + np.triu(half, 1).T
-
-    @cached_property
-    def _of_log_D(self):
-        """The slopes of t = log D over eta, (unknown, entry), and its curvature over log T."""
-        layout = self.data.layout
-        of_D = prior(Hyperparameters(*self.eta), layout)
-        kinds = [NAMES.index(kind.hyperparameter) for kind in Kind]
-        slopes = np.zeros((layout.size, len(NAMES)))
-        slopes[np.arange(layout.size), np.take(kinds, layout.kind)] = 1.0
-        slopes[:, LOG_T] = of_D.slope
-        return slopes, of_D.curvature
-
-    def _of_variances(self):
-        """(4a) of r and of log |U|, by the slopes J of t."""
-        (J, curved), z2, V = self._of_log_D, self._at.z**2, self._V
-        of_r, of_log_U = -z2, (1 - np.diag(V)) / 2
-        zJ = self._at.z[:, None] * J
-        r = Slopes(J.T @ of_r, 2 * (zJ.T @ zJ / 2 - zJ.T @ V @ zJ))
-        alone = J.T @ (np.diag(V)[:, None] * J)
-        log_U = Slopes(J.T @ of_log_U, (alone - J.T @ (V * V) @ J) / 2)
+    def _of_parts(self):
+        """(4a): the slopes of r, and those of log |U| - n_1 / 2 log w."""
+        data, at, z = self.data, self._at, self._at.z
+        J, curved = _slopes_of_log_D(self.eta, data.layout)
+        half = at.inverse()
+        V = np.triu(half) + np.triu(half, 1).T
+        of_r, of_log_U = -(z**2), (1 - np.diag(V)) / 2  # over log D
+        r = Slopes(J.T @ of_r, J.T @ (z[:, None] ** 2 * J))
+        log_U = Slopes(J.T @ of_log_U, J.T @ (np.diag(V)[:, None] * J) / 2)
         r.second[LOG_T, LOG_T] += of_r @ curved
         log_U.second[LOG_T, LOG_T] += of_log_U @ curved
+        q, traces = z[:, None] * J, J.T @ (V * V) @ J  # tr(V M_k V M_l)
+        if data.n_1:
+            self._add_means(V, J, r, log_U, q, traces)
+        r.second[:] -= 2 * q.T @ V @ q
+        log_U.second[:] -= traces / 2
         return r, log_U
 
-    def _with_means(self, r, log_U):
-        """(4b) in addition, where d w / d rho = -w (1 - w)."""
-        (J, _), z, V, w = self._of_log_D, self._at.z, self._V, self._at.weight
-        G_1, root_D = self.data.means, self._at.root_D
-        rest = G_1 @ np.append(-root_D * z, 1.0)  # [X_1, y_1]' e_1
-        g, Vg = root_D * rest[:-1], V @ (root_D * rest[:-1])
-        VK = V @ (root_D[:, None] * G_1[:-1, :-1] * root_D)
-        n_1 = self.data.n_1
-        by_w = Slopes(
-            np.array([np.append(-root_D * z, 1.0) @ rest, np.trace(VK) / 2 - n_1 / (2 * w)]),
-            np.array([-2 * g @ Vg, -np.sum(VK * VK.T) / 2 + n_1 / (2 * w**2)]),
-        )
-        mixed = -2 * J.T @ (z * Vg), J.T @ np.sum(VK * V, axis=1) / 2
-        slope, curved = -w * (1 - w), w * (1 - w) * (1 - 2 * w)
-        for one, first, second, both in zip((r, log_U), *by_w, mixed, strict=True):
-            one.first[RHO] += first * slope
-            one.second[RHO] += both * slope
-            one.second[:, RHO] += both * slope
-            one.second[RHO, RHO] += second * slope**2 + first * curved
-        return r, log_U
+    def _add_means(self, V, J, r, log_U, q, traces):
+        """What is added to these, where rho moves the weight of means."""
+        data, at, w = self.data, self._at, self._at.weight
+        residual = np.append(-at.root_D * at.z, 1.0)
+        products = data.means @ residual  # [X_1, y_1]' e_1
+        VK = V @ (at.root_D[:, None] * data.means[:-1, :-1] * at.root_D)
+        slope, curved = -w * (1 - w), w * (1 - w) * (1 - 2 * w)  # of w over rho
+        by_w = residual @ products, np.trace(VK) / 2 - data.n_1 / (2 * w)
+        for part, over_w in zip((r, log_U), by_w, strict=True):
+            part.first[RHO] = slope * over_w
+            part.second[RHO, RHO] += curved * over_w
+        log_U.second[RHO, RHO] += slope**2 * data.n_1 / (2 * w**2)
+        mixed = J.T @ np.sum(VK * V, axis=1)
+        q[:, RHO] = slope * at.root_D * products[:-1]
+        traces[RHO] -= slope * mixed
+        traces[:, RHO] -= slope * mixed
+        traces[RHO, RHO] += slope**2 * np.sum(VK * VK.T)
+
+
+def _slopes_of_log_D(eta, layout):
+    """J, (unknown, entry), and the curvature of log D over log T, (unknown,)."""
+    of_D = prior(Hyperparameters(*eta), layout)
+    kinds = [NAMES.index(kind.hyperparameter) for kind in Kind]
+    J = np.zeros((layout.size, len(NAMES)))
+    J[np.arange(layout.size), np.take(kinds, layout.kind)] = 1.0
+    J[:, LOG_T] = of_D.slope
+    return J, of_D.curvature
 
 
 class Slopes(NamedTuple):

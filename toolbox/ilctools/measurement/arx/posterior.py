@@ -21,7 +21,7 @@ from ilctools.measurement.arx.regressors import Data
 # Added to the diagonal of U' U, relative to it. Cholesky's rounding is a few hundred times 1e-16 of
 # it: so it stays positive definite also without noise.
 CHOLESKY_ROUNDING = 1e-12
-LEAST_RESIDUE = 1e-14  # r relative to y' y: rounding counts as noise
+LEAST_RESIDUE = 1e-14  # r relative to y' y, means with a weight of one: rounding counts as noise
 
 
 class Posterior(NamedTuple):
@@ -69,4 +69,5 @@ def posterior(eta: np.ndarray, data: Data) -> Posterior:
     UU[np.diag_indices_from(UU)] = UU.diagonal() * (1 + CHOLESKY_ROUNDING) + 1
     U = cholesky(UU, check_finite=False)
     h = solve_triangular(U, root_D * Xy, trans=1, check_finite=False)
-    return Posterior(root_D, U, h, max(yy - h @ h, LEAST_RESIDUE * yy), weight)
+    least = LEAST_RESIDUE * data.weighted(1.0)[-1, -1]
+    return Posterior(root_D, U, h, max(yy - h @ h, 0.0) + least, weight)

@@ -100,9 +100,20 @@ class Regression:
     @property
     def stable(self) -> bool:
         """Whether the estimate of A has no zero outside the unit circle, by how often it turns."""
+        return bool(abs(self._turns.sum()) < 1)
+
+    @property
+    def grows_at(self) -> float:
+        """The angle omega Ts about which an estimate of A turns that is not stable."""
+        turns = self._turns
+        return np.pi * np.argmax(np.sign(turns.sum()) * turns) / len(turns)
+
+    @property
+    def _turns(self):
+        """By how much A turns from each angle to the next, from zero to pi."""
         a = self.denominator
-        turns = np.fft.rfft(a, 2 * len(a) + 4096)
-        return bool(abs(np.angle(turns[1:] / turns[:-1]).sum()) < 1)
+        A = np.fft.rfft(a, 2 * len(a) + 4096)
+        return np.angle(A[1:] / A[:-1])
 
     def denominator_at(self, omega: np.ndarray) -> np.ndarray:
         """A at angles omega Ts, (n,)."""

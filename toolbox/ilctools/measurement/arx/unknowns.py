@@ -5,8 +5,8 @@
 A is monic. A and each B have as many lags as a quarter of the longest trial; the lags of a B are
 counted from a delay of its input. A start is the response to what was before a series, and is as
 long. A drift is a random walk. Beside its lags each B has slow parts x (1 - p) / (z - p) with time
-constants of the longest trial and a third of it. A plant may have a small part that is far slower
-than the rest: without slow parts it would be taken for drift, and the error not be seen.
+constants of the longest trial, a half and a quarter of it. A plant may have a small part that is
+far slower than the rest. Without slow parts it would be taken for drift, and the error not be seen.
 
 The unknowns of a response are its increments from lag to lag. Far lags share one: the coefficients
 are on straight lines between *knots*. With H the coefficients of all increments, coefficients are
@@ -28,7 +28,7 @@ from ilctools.measurement.arx.trials import Trials, keys_of, longest_of
 # plants.
 SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
-TIME_CONSTANTS = np.array([1.0, 3.0])  # of slow parts, in 1 / (the longest trial)
+TIME_CONSTANTS = np.array([1.0, 2.0, 4.0])  # of slow parts, in 1 / (the longest trial): counted
 # Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP: up to
 # an eighth of the lag, which saves time. Those of starts are coarser.
 CLOSE_KNOTS, KNOTS_STEP = 40, 8
