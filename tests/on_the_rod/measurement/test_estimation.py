@@ -146,7 +146,7 @@ def test_what_diverges_is_refused_and_what_integrates_is_within_the_region():
 
     with pytest.raises(ValueError, match="y0 does not settle"):
         measured_response(log(1.05))
-    with pytest.warns(UserWarning, match="P rises as that of an integrator"):
+    with pytest.warns(UserWarning, match="P rises like that of an integrator"):
         estimate = measured_response(log(1.0))
     covers(estimate, [[([0, 0.1], [1, -1.0])]])
 

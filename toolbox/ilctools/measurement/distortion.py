@@ -34,7 +34,7 @@ from ilctools.errors import LogError
 from ilctools.measurement.arx.regression import Regression
 from ilctools.measurement.arx.regressors import Regressors
 from ilctools.measurement.arx.trials import Trials, series_of
-from ilctools.measurement.estimation import EstimatedResponse, estimated_response
+from ilctools.measurement.estimation import SEEN, EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import Excitation
 from ilctools.measurement.excited import ExcitedResponse
 from ilctools.response.measured import CONFIDENCE
@@ -105,15 +105,18 @@ def spectra(signal, excitation) -> np.ndarray:
 def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> EstimatedResponse:
     """The estimate, with the covariance (4) where the lines show what is not linear."""
     lines, [group] = lines_of(estimate, excitation), estimate.record.groups
-    fits = []
+    fits, linear = [], True
     for i, (fit, units) in enumerate(zip(estimate.fits, estimate.units, strict=True)):
         own = replace(lines, periods=lines.periods[..., [i], :] / units)
         v = distortion(own)
         if v.any():
+            linear = False
             one = replace(group, y=group.y[..., [i]])
             fit = replace(fit, C=fit.C + added_covariance(fit, one, excitation, v))
         fits.append(fit)
-    return replace(estimate, fits=tuple(fits), lines=lines)
+    # A contradiction too small to be said is in what the lines show.
+    apart = estimate.apart if estimate.apart > SEEN else 0.0
+    return replace(estimate, fits=tuple(fits), apart=apart, lines=lines, linear=linear)
 
 
 def distortion(lines: ExcitedResponse) -> np.ndarray:

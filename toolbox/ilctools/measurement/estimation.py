@@ -94,6 +94,7 @@ class EstimatedResponse(Measured):
     apart: float = 0.0  # of P, by which records contradict one linear plant
     findings: tuple[str, ...] = ()
     lines: Measured | None = None  # of an excitation: P at its lines, without a model between them
+    linear: bool = True  # whether the lines show nothing that is not linear
 
     @property
     def loop(self) -> Loop:
@@ -146,8 +147,8 @@ class EstimatedResponse(Measured):
                 yield f"{name} may not settle, or is disturbed in cycles: {LOOP}"
             elif rising[i] and not self.apart:
                 yield (
-                    f"{name} may not settle: down to {lowest:.2g} rad/s, the lowest frequency that "
-                    f"a record of this length resolves, P rises as that of an integrator. {LOOP}"
+                    f"{name} may not settle, as P rises like that of an integrator down to "
+                    f"{lowest:.2g} rad/s, the lowest frequency that a record resolves: {LOOP}"
                 )
 
     def _rises(self):
@@ -261,6 +262,18 @@ class EstimatedResponse(Measured):
                 f"P is identified from {low:.3g} to {high:.3g} rad/s, at {self.known.mean():.0%}; "
                 "else the input had too little power, and what was assumed makes the radius"
             )
+        if self.lines is not None and omega[0] < (lowest := self.lines.omega[0]):
+            text = (
+                f"below {lowest:.4g} rad/s, the lowest line of the excitation, P is what the "
+                "regression makes of the rest: a lower `lowest` would show it"
+            )
+            lines.append(Assumed(text))
+        if not self.linear:
+            text = (
+                "signals are as large as the excitation: smaller ones may see another gain. Shake "
+                "with a second amplitude, and compare by P.check(log)"
+            )
+            lines.append(Assumed(text))
         first = self.omega[self.resolved][0]
         if self.omega[self.known][0] < first <= omega[0] * (1 + SAME_FREQUENCY):
             text = (
@@ -275,7 +288,7 @@ class EstimatedResponse(Measured):
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
         lines = [super().__repr__(), within]
         if self.lines is not None:
-            lines.append(self.lines.deviations)
+            lines.append(self.lines.deviations + ("" if self.linear else self.lines.advice))
         return "\n".join(lines)
 
 

@@ -40,6 +40,7 @@ from ilctools.response.samples import Assumed, Samples
 
 # Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
 # radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
+MOSTLY = 3.0  # times as much by what is not linear as by noise: then another amplitude is advised
 NEIGHBOURING_LINES = 8
 
 
@@ -165,7 +166,7 @@ class ExcitedResponse(Measured):
             f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
             f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
-            self.deviations,
+            self.deviations + self.advice,
         ]
         return "\n".join([*lines, *self.findings])
 
@@ -176,6 +177,12 @@ class ExcitedResponse(Measured):
             f"standard deviation up to {self.noise.max():.2g} by noise, and up to "
             f"{self.distortion.max():.2g} by what is not linear or drifts"
         )
+
+    @property
+    def advice(self) -> str:
+        """What would make P more certain, if noise does not."""
+        curved = self.distortion.max() > MOSTLY * self.noise.max()
+        return ": a smaller amplitude may help more than a longer record" if curved else ""
 
 
 def _squares(off):

@@ -1,5 +1,7 @@
 """Excited records by the regression and their lines, against plants that are known."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import freqz, lfilter
@@ -48,6 +50,9 @@ def test_a_linear_plant_is_known_between_the_lines_and_by_a_small_radius(name):
     alone = estimated_response([log], "w")
     np.testing.assert_allclose(P.radius(), alone.radius())  # nothing is not linear
     assert "standard deviation up to" in str(P) and "by what is not linear" in str(P)
+    assert "another gain" not in str(P)
+    below = "below 0.01[12]\\d* rad/s, the lowest line of the excitation"
+    assert re.search(below, str(P)) and not re.search(below, str(P.basis(np.array([0.02]))))
     P.plot().canvas.draw()
 
 
@@ -57,6 +62,12 @@ def test_what_is_not_linear_widens_the_radius(seed):
     log, plan = record(LAG, seed, bent=0.05)
     alone, P = estimated_response([log], "w"), measured_response(log)
     assert P.radius().max() > 1.3 * alone.radius().max()
+    assert "smaller ones may see another gain" in str(P)
+    strong, its_plan = record(LAG, seed, bent=0.3)
+    curved = with_distortion(estimated_response([strong], "w"), its_plan)
+    assert "a smaller amplitude may help" in str(curved)
+    # a tenth of the amplitude, in units of it: the gain is 3 % smaller
+    assert P.check(record(LAG, seed + 10, bent=0.05 / 100)[0]).contradicts
     period = [
         multisine(LOOP, 0.012, 2.5, 1.0, hours=0.9, lines=60, seed=100 + k).signals
         for k in range(9)

@@ -90,7 +90,7 @@ def test_an_integrator_is_said_to_rise_and_a_lag_is_not():
                 with warnings.catch_warnings(record=True) as seen:
                     warnings.simplefilter("always")
                     measured_response(log_of(u[None], y[None]))
-                said = "as that of an integrator" in " ".join(str(one.message) for one in seen)
+                said = "like that of an integrator" in " ".join(str(one.message) for one in seen)
             except ValueError as refused:
                 said = "does not settle" in str(refused)
             assert said == rises
