@@ -1,4 +1,4 @@
-"""From a shaken loop, another record or a table to P, with the region in which the truth lies.
+"""P and its radius from an excited loop, from another record, or from a table.
 
 The notes of :func:`measured_response` state the methods.
 """
@@ -28,100 +28,89 @@ ROUNDING_OF_W = 0.02
 def measured_response(
     log, of: str | None = None, uncertainty=None, *, delay=None
 ) -> ExcitedResponse | EstimatedResponse | TabulatedResponse:
-    """Make a measured response, with the region in which the truth lies, of what there is.
+    """Estimate the frequency response of a plant, and how wrong the estimate may be.
 
     Parameters
     ----------
     log : xarray.Dataset, list of them, or control.FrequencyResponseData
-        A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
-        from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
-        :func:`read_table`; several of one plant, of any lengths. The known disturbances of a
-        record are inputs of its estimate, see Notes. Or a table of a frequency response, which is
-        splined between its lines.
+        A record in which the inputs moved, or several records of one plant, of any lengths. It may
+        come from :func:`shake`, from :func:`record` (trials under learning), or from
+        :func:`load_log` or :func:`read_table` (a step test, a reference that moves). Or a table of
+        a frequency response; splines connect its frequencies.
     of : {"w", "u"}, optional
-        Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
-        Default: from w, if all records have a reference. If this or `delay` is given, a record of
-        :func:`shake` is estimated like any other, and what is not linear is not in the radius.
+        The input: w = reference + v of a closed loop, or the commands u. Default: w, if all records
+        have a reference. With `of` or `delay`, a record of :func:`shake` is estimated like any
+        other record.
     uncertainty : array_like, shape (n,), or float, optional
-        Of a table: the radius at its lines, or one number, relative to sigma_max(P). Default: they
-        count as exact, noise and all, and nothing says if they scatter: then pass a radius.
+        For a table only: the radius at its frequencies, or one number relative to sigma_max(P).
+        Default: the table counts as exact, although it may contain noise.
     delay : int or array_like, shape (inputs,), optional
-        Samples after which y answers to each input at the earliest, if it is known; further delay
-        is searched for. Default: 0.
+        Number of samples before which y does not answer to an input. Larger delays are searched
+        for. Default: 0.
 
     Returns
     -------
     ExcitedResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise`, and checks. Of a record of :func:`shake` it is an estimate, or its
-        lines alone, see Notes. An estimate has
-        ``check(log)``, against a record that it was not made of, ``model()``, ``frd()`` and
-        ``plot()``.
+        For :func:`synthesise`. An estimate has ``check(log)`` (against another record),
+        ``model()``, ``frd()`` and ``plot()``.
 
     Raises
     ------
     LogError
-        If a record of :func:`shake` lacks an experiment, or w is not the excitation; if an input or
-        an output never moved, or moves by less than 1e-30 or more than 1e30 in its unit; of other
-        records, if a trial has fewer than 20 samples, an output does not settle, or P is identified
-        nowhere: also where a known disturbance moves exactly as inputs do. A record without noise
-        is accepted: rounding counts as its noise.
+        If a record of :func:`shake` lacks an experiment, or its w is not the excitation. If an
+        input or an output never moves, or moves by less than 1e-30 or more than 1e30. If a trial
+        has fewer than 20 samples, or an output does not settle. If P is identified at no frequency.
 
     Warns
     -----
     UserWarning
-        Each of the findings: commands of a shaken rig beyond the limits; trials, or the course of
-        one, that contradict one linear plant; an output that may not settle; a shaken rig whose P
-        is taken at its lines because no linear model describes the record. A rig that is not linear
-        widens the radius, and print says so.
+        If commands of an excited rig exceed its limits. If trials, or the course of one trial,
+        contradict one linear plant. If an output may not settle. If no linear model describes a
+        record of :func:`shake`, so that P is taken at the lines of the excitation alone.
 
     See Also
     --------
-    shake : a record made for it
-    read_table : one that others made
-    synthesise : a filter for all within the radius
+    shake : makes a record for this function
+    read_table : reads a record that others made
+    synthesise : designs a filter for all plants within the radius
 
     Notes
     -----
-    Records are estimated by
-    :mod:`ilctools.measurement.arx.regression`: A(z) y = B(z) u + e, of high order and regularised,
-    each input with a delay if correlations show one, from any start, with offset and slope in each
-    trial, a drift that trials of one length have in common, and, over these, of all logs,
-    what repeats at each sample with a variance that the data determine.
-    The radius is Bayesian: "99 %" is a probability under a prior, by which coefficients of A and B
-    decay and are smooth, and the posterior is normal, with the prior's parameters at the maximum
-    of their own posterior and about it. For plants as they come it was checked on records of many
-    kinds, by which the radius was scaled; a plant that the prior holds to be unlikely, such as one
-    with a weak mode below the noise, may lie outside more often, and so may a slow one at low
-    frequencies, most if trials under learning have converged: record the first ones. See
-    :mod:`ilctools.measurement.estimation` for the radius.
-    A log may have known disturbances: inputs that no loop commands and that were measured, such as
-    a third heater or the ambient temperature, by `disturbances` of :func:`read_table`. Each that
-    moves within a trial is one more input of the regression, with its own coefficients and its own
-    delay, which is searched for. P is the response to the commanded inputs alone, and what the
-    known disturbances did is no longer noise. Their units do not matter, nor do their offsets. A
-    log of several that lacks a disturbance counts as one in which it rests.
+    *Method.* The regression :mod:`ilctools.measurement.arx.regression` estimates a regularised ARX
+    model of high order for each output. It allows for any initial condition, an offset and a slope
+    in each trial, a drift, and a disturbance that repeats. Delays are searched for. A record
+    without noise is accepted; rounding then counts as noise.
 
-    A record of T seconds resolves frequencies from 2 pi / T on, of which a period fits into it.
-    Below, it cannot tell a slow motion from a drift. An estimate has a response and a radius there,
-    but :func:`synthesise` chooses cut-off and filter from 2 pi / T on, and then says what the
-    filter may do below.
+    *Radius.* "99 %" is a probability under a prior: coefficients of the model decay and are smooth.
+    The radius was scaled on simulated records of many kinds, see docs/estimator.md. A plant that
+    the prior holds to be unlikely may lie outside more often. Examples are a weak mode below the
+    noise, and trials that have converged: record the first trials.
 
-    Before a trial w rests at the reference's first row, and v is zero; trials without reset are
-    joined. Where a log names its loop and limits, w is what asks for what was applied; of others,
-    leave out trials in which commands were cut off. Of commands in a loop whose reference is in the
-    first log, y(t) depends on earlier u only, and else on u(t), too.
+    *Known disturbances.* A log may contain measured inputs that no loop commands, such as the
+    ambient temperature (`disturbances` of :func:`read_table`). Each one is a further input of the
+    regression, with its own delay. P is the response to the commanded inputs alone. Units and
+    offsets of disturbances do not matter. If one of several logs lacks a disturbance, the
+    disturbance counts as constant there.
 
-    A record of :func:`shake` is estimated in two ways. The regression connects the lines of the
-    excitation, and knows transients, delays and resonances. The lines by themselves (the robust
-    method, :mod:`ilctools.measurement.excited`) show how much noise there is, and what is not
-    linear, without a model. What is not linear is added to the radius of the regression, see
-    :mod:`ilctools.measurement.distortion`. P is then the best linear approximation for signals of
-    the size of the excitation: smaller ones may see another gain. If the lines by themselves have
-    the smaller radius, as where the plant is slow and little noise repeats, P is taken at the lines
-    and runs along splines between them. So it is, with a warning, if the regression does not settle
-    or contradicts the lines. The attribute ``lines`` has P at the lines, ``noise`` and
-    ``distortion`` in each case. The lines by themselves take no known disturbances: what these do
-    counts as noise, or as what is not linear.
+    *Low frequencies.* A record of T seconds resolves frequencies from 2 pi / T on. Below, it cannot
+    distinguish a slow motion from a drift. The estimate has a response and a radius there, but
+    :func:`synthesise` chooses cut-off and filter from 2 pi / T on.
+
+    *Trials.* Before a trial, w rests at the reference's first row, and v is zero. Trials without a
+    reset are joined. If the log names its loop and its limits, w is reconstructed from the applied
+    commands. For other logs, leave out trials with saturated commands. If the first log has a
+    reference, y(t) depends on earlier commands u only; else it depends on u(t), too.
+
+    *Excited rigs.* A record of :func:`shake` is estimated in two ways. The regression connects the
+    lines of the excitation, and describes transients, delays and resonances. The lines by
+    themselves (:mod:`ilctools.measurement.excited`) show without a model how much noise there is,
+    and what is not linear. What is not linear widens the radius of the regression
+    (:mod:`ilctools.measurement.distortion`). P is then the best linear approximation for signals of
+    the size of the excitation; smaller signals may see another gain. P is taken at the lines
+    alone if their radius is smaller, as for a slow plant with little repeating noise. P is taken
+    there with a warning if the regression does not settle or contradicts the lines. The attribute
+    ``lines`` has P at the lines, ``noise`` and ``distortion``. At the lines alone, known
+    disturbances count as noise, or as what is not linear.
 
     Examples
     --------
