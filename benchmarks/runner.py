@@ -6,6 +6,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 
 from tqdm import tqdm
 
@@ -14,9 +15,12 @@ from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 
 
-def run(function, cases):
-    """Results of a function for many cases, in their order, by a process for each core."""
-    with ProcessPoolExecutor() as pool:
+def run(function, cases, executor=None):
+    """Results of a function for many cases, in their order, by a process for each core.
+
+    Or by another executor, as in `rodlib.responses`.
+    """
+    with nullcontext(executor) if executor else ProcessPoolExecutor() as pool:
         yield from tqdm(pool.map(function, cases), total=len(cases))
 
 

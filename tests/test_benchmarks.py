@@ -1,6 +1,7 @@
 """The benchmarks are not timed here; a few cases of each run, and their outcome is tested."""
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -35,6 +36,8 @@ def test_regions_are_counted(page, monkeypatch):
     monkeypatch.setattr(regions, "RECORDS", 2)
     kinds = ["resonance, noise", "a loop without its reference"]
     known, refused = rows = [*runner.run(regions.counted, kinds)]
+    with ThreadPoolExecutor(1) as threads:  # another executor
+        assert [*runner.run(regions.counted, kinds[1:], threads)] == [refused]
     assert len(known) == len(regions.TITLES) and known[-1] == "2, 2"
     assert known[3:5] == ["100.0%"] * 2
     assert refused[2:8] == [""] * 6 and refused[8:10] == ["2", "2"]

@@ -217,40 +217,38 @@ class Law:
     def next(self, v, e, u=None, applied=None, y=None, *, references=None, past=()) -> np.ndarray:
         """The signal of the next trial, v_{k+1} of (23).
 
-        With limits, of all v whose commands stay within them, the nearest to the v* of the law
-        without: it minimises ||P (v - v*)||^2 + weight ||v - v*||^2, by the model of the loop, from
-        the commands that were applied. The weight is that of L, 0.01 of a filter: with that
-        of :class:`ilctools.NormOptimal` and a Q near one this is constrained norm-optimal learning,
-        whose predicted error cannot rise. What the loop asks for in the rest, where v is zero, is
-        left out of account. Of a ClosedLoop without P the commands are cut off instead.
+        With limits of commands, let v* be the next v without limits. The law takes the v that
+        minimises ||P (v - v*)||^2 + weight ||v - v*||^2 among all v whose commands are within the
+        limits. P is the model of the loop, and the applied commands are the starting point. The
+        weight is that of L, or 0.01 for a filter. With a :class:`ilctools.NormOptimal` and a Q near
+        one this is constrained norm-optimal learning, whose predicted error cannot rise. Limits do
+        not count in the rest, where v is zero. For a ClosedLoop without P the commands saturate.
 
-        With limits of outputs the change of v is shortened, or another one is taken that needs
-        less, see :mod:`.output_step`. If an output of the trial was beyond its limit, the next one
-        takes a change after which all limits hold for sure. If none is found, it goes back to the
-        share of what drove the trial that would have kept the limit, from rest.
+        With limits of outputs, the change of v is shortened, or another change is taken that needs
+        less room, see :mod:`.output_step`. If an output exceeded its limit, the law takes a change
+        after which all limits hold for sure. If it finds none, it goes back to the share of w, from
+        rest, that would have kept the limit.
 
         Parameters
         ----------
         v : array_like, shape (time, m), or (time,) of one channel
-            ILC signal of the trial just done; the time first, which a square array cannot show.
-            Labelled signals (columns, or coordinates) are matched by name, for which a law of
-            several channels must be bound to a loop.
+            ILC signal of the last trial. The time is the first axis; a square array cannot show an
+            error in that. Labelled signals (columns, or coordinates) are matched by name; a law of
+            several channels must be bound to a loop for that.
         e : array_like, shape (time, p), or (time,) of one channel
-            Its tracking error, reference - y.
+            Tracking error of the last trial, reference - y.
         u : array_like, shape (time, commands), optional
-            Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
-            its controls, of a ClosedLoop its inputs w. Also of a first trial, where v is zero
-            and they are not.
+            Commands that the controller asked for: the controls of a CurrentTrialLoop, or the
+            inputs w of a ClosedLoop. Limits need them, also after the first trial.
         applied : array_like, shape (time, commands), optional
-            What the actuators made of u, and the observer was informed of. Default: u, cut off at
-            the limits.
+            Commands that the actuators applied, as the observer was told. Default: the saturated u.
         y : array_like, shape (time, p), optional
-            Needed with limits of outputs: the outputs of the trial.
+            Outputs of the last trial. Limits of outputs need them.
         references : tuple of array_like, shapes (time, p), optional
-            Of the trial and of the next one, where there are limits. Default: e + y, for both.
+            References of the last trial and of the next one. Default: e + y, for both.
         past : sequence of dict, optional
-            Signals by name, as v, reference and y, of trials before this one, the last one last:
-            with them limits of outputs leave more to be learned.
+            Signals v, reference and y of the trials before the last one, in their order. With them,
+            learning within limits of outputs goes further.
 
         Returns
         -------
@@ -259,8 +257,8 @@ class Law:
         Raises
         ------
         ValueError
-            If signals do not fit the law, or are so large that the next v is not finite; if limits
-            lack a loop, u or y; if an output was beyond its limit, and a reference alone moves it.
+            If signals do not fit the law, or are so large that the next v is not finite. If limits
+            lack a loop, u or y. If an output exceeds its limit because of a reference alone.
         RuntimeError
             If the solver fails.
         """

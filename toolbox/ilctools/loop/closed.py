@@ -105,8 +105,8 @@ class Loop(Protocol):
 class CurrentTrialLoop:
     """The feedback loop (19) and what it is made of. Arrays are in the order of `plant`.
 
-    That its gains are those of a stable loop and observer, and D of the controls is zero,
-    :func:`current_trial_loop` checks; here only shapes are.
+    Only shapes are checked here. :func:`current_trial_loop` also checks that loop and observer are
+    stable, and that the controls do not act on y at once.
 
     Attributes
     ----------
@@ -279,39 +279,40 @@ def _inputs_of(outputs):
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A loop whose controller is not ours, such as a PID in a PLC: it takes w, and y follows.
+    """A loop whose controller is not ours, such as a PID in a PLC. It takes w, and y follows w.
 
     Each input w takes the reference r of an output, a learned signal v, or both,
 
         w = F r + G v,
 
     with F and G of zeros and ones. Usually there is one input for each output, and w = r + v. A
-    signal that is added to what a controller commands, such as a torque, is an input that takes v
-    alone. There may be more outputs than learned inputs, or fewer.
+    torque that is added to the command of a controller is an input that takes v alone. There may be
+    more outputs than learned inputs, or fewer.
 
-    Nothing else is assumed of the loop, not even that P(0) = I. Without P it can be run and shaken,
-    by which P can be measured; with P it can be simulated, and filters can be designed for it.
+    Nothing else is assumed of the loop, not even that P(0) = I. Without P, the loop can be run, and
+    P can be measured by :func:`shake`. With P, the loop can be simulated, and filters can be
+    designed for it.
 
     Attributes
     ----------
     P : control.StateSpace or control.TransferFunction, optional
-        From w to y, in discrete time and stable.
+        The stable response from w to y, in discrete time.
     Ts : float, optional
-        Sampling period, s. Default: that of P.
+        Sampling period, s. Default: the period of P.
     outputs : sequence of str, optional
-        Names of y. Default: those of P.
+        Names of y. Default: the names in P.
     references : dict, optional
-        Whose reference an input takes: ``{input: output}``; {} for none. Default, where there are
-        as many inputs as outputs: each that of its own output.
+        The output whose reference an input takes, ``{input: output}``; {} for none. Default, with
+        as many inputs as outputs: each input takes the reference of its own output.
     learned : sequence of str, optional
-        Names of the inputs that take a learned signal. Default, where there are as many inputs as
-        outputs: all.
+        Names of the inputs that take a learned signal. Default, with as many inputs as outputs:
+        all inputs.
     controls : sequence of str
-        Names of the commands u, one for each output, if the rig tells them.
+        Names of the commands u, one for each output, if the rig reports them.
     disturbances : sequence of str
-        Names of what else the rig measures, or can be commanded.
+        Names of further signals that the rig measures, or that can be commanded.
     units : dict
-        Unit of each of these, by name; "" if it is not said.
+        Unit of each of these signals, by name; "" if it is not known.
 
     See Also
     --------

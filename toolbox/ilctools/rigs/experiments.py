@@ -39,96 +39,100 @@ def record(
     """Run an experiment of several trials on a rig and record it.
 
     Between two trials the controller keeps running and holds the start of the reference, as in the
-    paper, until the rig is back where the first trial started. However this ends, the rig is left
-    in a safe state: by an error, Ctrl-C, ``kill``, a service's stop or a closed terminal. These
-    signals raise at once in a driver, which must not handle SIGTERM or SIGHUP by itself; also if it
-    swallows the exception, no command follows. While the rig's ``safe()`` runs they wait, until it
-    has taken its ``safe_time``, 10 s if it has none: the next one ends it, and says that the rig
-    may not be safe. In another thread than the main one they count when the process ends by Ctrl-C
-    or its last line, but ``kill`` ends it at once. A forked child leaves the rig to its parent.
-
-    What no program can do: ``kill -9``, SIGQUIT, a crash of Python or of the machine and a power
-    cut leave the rig at the last command, and so does Ctrl-Z until ``fg``. For these a watchdog on
-    the rig switches off when no command has come for some samples. On a terminal, progress is
-    shown.
+    paper, until the rig is back where the first trial started. On a terminal, progress is shown.
+    However the experiment ends, ``rig.safe()`` leaves the rig in a safe state, see Notes.
 
     Parameters
     ----------
     rig : Rig
     loop : CurrentTrialLoop or ClosedLoop
-        Its names and units are those of the record.
+        The record takes its names and units.
     law : Law
-        Commands without limits in it have those of the rig; ``limits={}`` leaves all out: then the
-        rig cuts off what it must, which is warned of, and the law (23) does not know. Commands are
-        cut off at the limits of the law, and the observer is informed of that. A log can name an L
-        that is a LearningFilter, the B K of a design or a NormOptimal.
+        The rig's limits hold for commands that the law does not limit. With ``limits={}`` the law
+        has no limits at all, and a warning comes if the rig saturates. Commands saturate at the
+        limits of the law, and the observer takes the applied commands. With `path`, L must be a
+        LearningFilter, the B K of a design, or a NormOptimal.
     reference, trials :
         As for :func:`ilctools.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
-        What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
-        measures of them is recorded instead of the values given here; of others nothing is known,
-        and they must be zero. Default zero.
+        Values for those of ``loop.disturbances`` that the rig can command. If the rig measures a
+        disturbance, the measured values are recorded. All others must be zero. Default zero.
     path : path-like, optional
-        Of a log, to which each trial is added when it ends, so that a fault costs one trial at
-        most, or two just after one has ended without reset; without it, all. A link is followed. A
-        relative path counts from the working directory at the call, wherever a driver goes later.
-        If the log is there, its trials must be of the same experiment, and the next one follows; a
-        last trial that is torn or shorter than the first is dropped, with a warning. That the plant
-        and a commanded disturbance are the same, nothing checks but the trials that follow. If it
-        has `trials` or more, none is run, and all of them are returned, also from a folder that is
-        read only. Meanwhile no other process can record to it, and no other program must write to
-        it.
+        A log file, to which each trial is added when it ends. A fault then costs at most one trial,
+        or two without reset. If the file exists, the experiment goes on with its next trial, see
+        Notes. Without `path`, a fault costs all trials.
     v : array_like, shape (time, m), optional
-        ILC signal of the first trial. Default zero. With L None, that of all trials.
+        ILC signal of the first trial. Default zero. If L is None, ILC signal of all trials.
     pause : int, optional
-        Samples between two trials. Default: until the outputs are back and still, two trials at
-        most; for a rig that has `begin`, none.
+        Samples between two trials. Default: until the outputs are back and still, but at most two
+        trials; no pause for a rig that has `begin`.
     reset : bool
-        False for a rig that never rests, as for :func:`ilctools.run_trials`: there is no pause, and
-        v is computed while a trial runs. An experiment that goes on in its log starts anew, from
-        what was learned; the log does not say where, and `replay` and `measured_response` take it
-        for one run: another path is better.
+        False for a rig that never rests, as for :func:`ilctools.run_trials`. Then there is no
+        pause, and v is computed while a trial runs.
     decimals : dict, optional
-        Of v, u (rounded before they act), delta and measured disturbances; too few leave nothing of
-        v. Default: all digits.
+        Number of digits after the point of v, u, delta and measured disturbances. v and u are
+        rounded before they act, so too few digits leave nothing of v. Default: all digits.
     stop : dict, optional
-        Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
-        stands for no limit. Default: outputs may be beyond all references by five times the largest
-        in the same unit, if it is not zero; commands may span a hundred times the rig's limits.
+        Lowest and highest value of outputs and commands, by name, beyond which the experiment
+        stops. None stands for no limit. Default: outputs may exceed all references by five times
+        the largest reference in the same unit; commands may span a hundred times the rig's limits.
     pilot, between :
         As for :func:`ilctools.run_trials`.
 
     Returns
     -------
     xarray.Dataset
-        As from :func:`ilctools.run_trials`, with the disturbances that are commanded or measured;
-        with limits, `u` is what was asked for, and `applied` what was sent to the rig.
+        As from :func:`ilctools.run_trials`, with the disturbances that are commanded or measured.
+        With limits, `u` is the command that was asked for, and `applied` was sent to the rig.
 
     Raises
     ------
     ValueError
-        If something does not belong together; before anything is applied.
+        If arguments do not belong together. The error comes before any command is applied.
     RigError
-        If a reading is not finite or has the wrong shape: the trial ends, those before it stay. Its
-        text begins with the trial and the sample. As any error of a driver or a disk, it has the
-        trials before in its attribute ``trials``, and the trial and the sample in a note.
+        If a reading is not finite or has the wrong shape. The text begins with the trial and the
+        sample. As any error of a driver or a disk, it has the trials before in its attribute
+        ``trials``, and the trial and the sample in a note.
     StoppedError
-        If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError.
+        If a signal is beyond a limit of `stop`. The text says how to go on. It is a RigError.
 
     Warns
     -----
     UserWarning
-        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
-        what it follows, if it has limits, once if v is learned within them; that started elsewhere
-        than the first; once, if the trials show that they do not converge, that an output does
-        not move, or that the plant is not the P of the loop or of the law, see
-        :mod:`ilctools.trials.diagnosis`.
+        After a trial in which samples were late (if the rig has a clock), in which commands
+        exceeded the rig's limits, or which began elsewhere than the first trial. And once, if the
+        trials do not converge, if an output does not move, or if the plant is not the P of the loop
+        or of the law, see :mod:`ilctools.trials.diagnosis`.
 
     See Also
     --------
     run_trials : simulated
     shake : to measure P
     load_log : what `path` has
+
+    Notes
+    -----
+    *Safety.* ``rig.safe()`` is called after an error, Ctrl-C, ``kill``, the stop of a service, and
+    when a terminal is closed. These signals raise at once in a driver. The driver must not handle
+    SIGTERM or SIGHUP by itself. If the driver swallows the exception, no command follows all the
+    same. While ``safe()`` runs, signals wait until its ``safe_time`` is over, 10 s by default. The
+    next signal then ends ``safe()``, and a message says that the rig may not be safe. In another
+    thread than the main one, signals count when the process ends by Ctrl-C or by its last line;
+    ``kill`` ends the process at once. A forked child leaves the rig to its parent.
+
+    No program can act after ``kill -9``, SIGQUIT, a crash of Python or of the machine, or a power
+    cut. The rig then stays at the last command. Ctrl-Z leaves it there until ``fg``. For these
+    cases, let a watchdog on the rig switch off if no command has come for some samples.
+
+    *Logs.* The trials of an existing log must be of the same experiment. A last trial that is torn,
+    or shorter than the first one, is dropped with a warning. No check can know whether the plant
+    and a commanded disturbance are still the same, except the trials that follow. If the log has
+    `trials` or more, none is run, and all are returned; the folder may then be read only. While an
+    experiment runs, no other process can record to its log, and no other program must write to it.
+    A link is followed. A relative path counts from the working directory at the call. Without
+    reset, an experiment that goes on in its log begins anew with what was learned. The log
+    does not say where this happened, and `replay` and `measured_response` take the log for one run.
+    Use another path then.
 
     Examples
     --------

@@ -51,18 +51,20 @@ def synthesise(
 
     Trials follow the law v_{k+1} = Q (v_k + L e_k). Each trial leaves M = Q (I - P L) of the error
     before it. The filter makes sigma_max(M) small, and keeps bounds on sigma_max(M) and on its own
-    gain sigma_max(L). By default a formula gives the filter. Where that filter does not keep the
-    bounds, convex optimisation finds one, by (39), or by (45) and (46), of the paper.
+    gain sigma_max(L). By default a formula gives the filter. If that filter breaks a bound, convex
+    optimisation finds another one, by (39) of the paper, or by (45) and (46).
 
     Parameters
     ----------
     P : model, loop, array_like of shape (n, p, m), or measured response; or a list of them
-        From v (m learned inputs) to y (p outputs), in closed loop. A table is in rad/s and of
-        exp(j omega t). Of a list the first plant is the nominal one; the bounds hold for all.
+        The response from v (m learned inputs) to y (p outputs), in closed loop. A table is in rad/s
+        and for exp(j omega t). In a list the first plant is the nominal one. The bounds hold for
+        all plants of the list.
     Q : ZeroPhaseButterworth, or array_like of shape (n,), optional
         The filter, or its samples on `omega`. Default: one of order 2, up to where P reaches.
     omega : array_like, shape (n,), optional
-        Design frequencies, rad/s. Default: those of a table, or 1000 up to the Nyquist frequency.
+        Design frequencies, rad/s. Default: the frequencies of the table, or 1000 frequencies up to
+        the Nyquist frequency.
     Ts : float, optional
         Sampling period, s. Arrays need it.
     order : int, optional
@@ -121,55 +123,57 @@ def synthesise(
 
     Notes
     -----
-    **P.** A table is gain * exp(1j * phase), the gain not in dB, the phase in rad. A table of
-    exp(-j omega t), whose phase leads, is to be conjugated first. Its samples belong to the sampled
-    plant with its hold. python-control's data of a continuous model lack the hold, half a sample of
-    delay: sample the model first. A transfer function with more than some four poles loses digits:
-    pass ``control.sample_system(control.ss(plant), Ts)``. A labelled array is matched by name, see
-    :mod:`ilctools.labels`. What :func:`measured_response` returns has a radius of its own, for a
-    probability of 0.99; for another one pass both of ``P.on(omega, confidence)``. Without a radius
-    samples count as exact, noise included.
+    **P.** A table holds gain * exp(1j * phase); the gain is not in dB, and the phase is in rad.
+    Conjugate a table for exp(-j omega t), whose phase leads. The samples belong to the sampled
+    plant with its hold. python-control's data of a continuous model lack the hold, which is half a
+    sample of delay: sample the model first. A transfer function with more than some four poles
+    loses digits: pass ``control.sample_system(control.ss(plant), Ts)``. A labelled array is matched
+    by name, see :mod:`ilctools.labels`. A measured response has a radius of its own, for a
+    probability of 0.99. For another probability, pass both parts of ``P.on(omega, confidence)``.
+    Without a radius, samples count as exact, although they may contain noise.
 
-    **Channels.** With fewer learned inputs than outputs trials contract in v, M = Q (I - L P), and
-    the rate is that of v: what the inputs cannot reach stays of the error. Else M = Q (I - P L), of
-    the error; with more inputs than outputs the smallest v is learned. In a square P an input
-    without a scale of its own has that of its output. Directions that P never passes are left out.
+    **Channels.** With at least as many learned inputs as outputs, M = Q (I - P L), and the rate is
+    the rate of the error. If there are more inputs than outputs, the smallest v is learned. With
+    fewer learned inputs than outputs, M = Q (I - L P), and the rate is the rate of v. The part of
+    the error that the inputs cannot reach then remains. In a square P an input without a scale of
+    its own has the scale of its output. Directions that P never passes are left out.
 
-    **Q.** Without Q, the cut-off is where the least singular value of all plants is a tenth of its
-    value at rest, or where the plants differ as much as M_max allows, see
-    :mod:`.synthesis.cutoff`. If a narrow range of frequencies decides, the certificate names the
-    range, and the cut-off without it. If the norm of a trial is one or more, the cut-off is halved;
-    the certificate then says which ``law(rest=...)`` makes the full cut-off possible. That trial
-    lasts ten times the settling time, or 1000 samples over all channels.
+    **Q.** Without Q, two conditions give the cut-off, see :mod:`.synthesis.cutoff`. The least
+    singular value of all plants must exceed a tenth of its value at rest, and the plants must not
+    differ by more than M_max allows. If a narrow range of frequencies decides, the certificate
+    names the range, and the cut-off without it. If the norm of a trial is one or more, the cut-off
+    is halved. The certificate then says which ``law(rest=...)`` makes the full cut-off possible.
+    The norm is computed for a trial of ten settling times, or of 1000 samples over all channels.
 
-    **Order and gain.** `order` is the delay of P, beyond the least phase that its gain admits, plus
-    4 / (cutoff Ts); at least 10, and at most 60 or 20 beyond that delay. `L_max` is eight times the
-    largest gain that inverts P up to Q's cut-off, and at most 20 times the largest that inverts P
-    up to a thirtieth of it, unless that leaves more than two thirds of M_max of the error. If
-    `base` is a number or None, `L_max` is four times the gain that inverts P up to the cut-off.
-    `L_max` also holds between the frequencies of a coarse grid. Without it, filters compete up to
-    the gain that doubles can hold, see :attr:`.Problem.L_bound`; where they look beyond the ends of
-    a trial, trials often diverge: ask :func:`trial_norm`.
+    **Order and gain.** By default, `order` is the delay of P plus 4 / (cutoff Ts). The delay counts
+    beyond the least phase that the gain of P admits. `order` is at least 10. It is at most 60, or
+    20 more than the delay. `L_max` is eight times the largest gain that inverts P up to Q's
+    cut-off. It is at most 20 times the largest gain that inverts P up to a thirtieth of the
+    cut-off, unless this leaves more than two thirds of M_max of the error. If `base` is a number or
+    None, `L_max` is four times the gain that inverts P up to the cut-off. `L_max` also holds
+    between the frequencies of a coarse grid. Without `L_max`, filters may have any gain that
+    doubles can hold, see :attr:`.Problem.L_bound`. If such a filter looks beyond the ends of a
+    trial, trials often diverge: ask :func:`trial_norm`.
 
     **All frequencies.** Bounds and rate are proved between the frequencies if P and Q are models
-    without a radius. Else cubic splines run through the samples, and straight lines through the
-    radius, between the first and the last frequency, over omega or log omega, whichever predicts
-    every other sample better. A radius needs an `omega` that resolves narrow resonances. Above the
-    last sample P is zero within a radius, its size there. With `everywhere` the bounds hold on a
-    grid on which they are lower by 1e-5 (proved) or 3e-4; this takes three times as long in the
-    median, and at worst a hundred times.
+    without a radius. Otherwise cubic splines run through the samples, and straight lines through
+    the radius. They are drawn over omega or over log omega, whichever predicts every other sample
+    better. A radius needs an `omega` that resolves narrow resonances. Above the last sample, P is
+    zero within a radius as large as P at that sample. With `everywhere` the bounds hold on a finer
+    grid, on which they are lower by 1e-5 (proved) or 3e-4. This takes three times as long in the
+    median, and a hundred times at worst.
 
-    **Base.** B = (P* P + b^2)^-1 P* undoes poles and zeros of P next to the unit circle, for which
-    a finite filter is too short. By default b = 1 / (2 L_max), so that sigma_max(B) is L_max at
-    most, and B is of all plants. If L = B keeps all bounds, the design is L = B. Else, and with a
-    `reference` or the objective "peak", convex optimisation finds K, of 21 samples or `order`, as
-    many back as ahead, with a sigma_max(K) of four at most. A number in (0, 1) is b as a share of
-    the largest sigma_max(P) up to Q's cut-off, and B is then of the first plant. Of a model B knows
-    the ends of a trial. Of samples B has as many taps as change sigma_max(M) by less than 1e-4.
+    **Base.** B = (P* P + b^2)^-1 P* inverts poles and zeros of P next to the unit circle, for which
+    a finite filter is too short. By default B is made for all plants, with b = 1 / (2 L_max), so
+    that sigma_max(B) is at most L_max. If L = B keeps all bounds, the design is L = B. Otherwise,
+    and with a `reference` or the objective "peak", convex optimisation finds K. K has 21 samples or
+    `order`, as many back as ahead, and a sigma_max(K) of at most four. If `base` is a number in
+    (0, 1), b is this share of the largest sigma_max(P) up to Q's cut-off, and B is made for the
+    first plant. If P is a model, B is exact at the ends of a trial, too. If P is a table, B has as
+    many taps as change sigma_max(M) by less than 1e-4.
 
-    **Reference.** The sum is weighted by the spectrum of the first error, (I - P) r, of the
-    channels divided by `scale`. What the reference asks for before P answers is never learned, and
-    not counted.
+    **Reference.** The spectrum of the first error, (I - P) r, weights the sum; channels are divided
+    by `scale`. Samples of the reference before P can answer are never learned, and do not count.
 
     Laws of this form are explained in D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
     iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.

@@ -86,24 +86,24 @@ class Synthesis:
     def law(self, rest: int = 0, gain: float = 1.0, limits=None, noise=None, model=None) -> Law:
         """The law (23) with Q and L of the design.
 
-        The law keeps what was known of P: trials are judged by that, if their loop has no P.
+        The law keeps the P of the design. Trials are compared with it if their loop has no P.
 
         Parameters
         ----------
         rest, gain :
             As for :class:`ilctools.Law`.
         limits : dict, optional
-            Lowest and highest by name, of commands as for :class:`ilctools.Law`, and of outputs:
-            numbers, or one for each sample, shape (time,); None for no limit. Those of outputs are
-            kept in every trial by each plant within the radius of the design; the attribute
-            ``output_limits`` of the law says under which conditions. Without a radius they hold for
-            the model only.
+            Lowest and highest value of commands and of outputs, by name. An end is a number, one
+            number for each sample (shape (time,)), or None for no limit. For commands see
+            :class:`ilctools.Law`. Each plant within the radius of the design keeps the limits of
+            outputs in every trial; print the law's ``output_limits`` for the conditions. Without a
+            radius, the limits of outputs hold for the model only.
         noise : dict, optional
-            Of outputs with limits by name, a bound of what does not repeat in each sample: y stays
-            twice as far from its limits.
+            Bound of what does not repeat in a sample, for outputs with limits, by name. The law
+            keeps twice this distance from the limits.
         model : control.StateSpace, optional
-            Needed for limits of outputs where P is known by samples: a model, whose distance from
-            the samples is added to their radius.
+            A model of P, which limits of outputs need if P is known by samples. The distance of the
+            model from the samples is added to their radius.
         """
         problem = self.problem
         if isinstance(problem.lowpass, SampledQ):
@@ -138,25 +138,25 @@ class Synthesis:
         return of_commands or None, OutputLimits(of_outputs, noise or {}, region)
 
     def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
-        """What the filter does on another plant: the rate, and does it converge?
+        """Compute the rate of the filter on another plant, and whether trials converge.
 
         Parameters
         ----------
         P : as for :func:`synthesise`
-            One plant or several, with the channels and the sampling period of the design; of a loop
-            that was designed here ``loop.around(plant)[:, loop.inputs]``, since `plant` alone
-            has no feedback.
+            One plant or several, with the channels and the sampling period of the design. For a
+            loop of :func:`current_trial_loop` pass ``loop.around(plant)[:, loop.inputs]``, because
+            `plant` alone has no feedback.
         omega : array_like, shape (n,), optional
-            Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
+            Frequencies, rad/s. Default: the frequencies of P, or else of the design.
         uncertainty
             As for :func:`synthesise`.
 
         Returns
         -------
         Convergence
-            Print it. `rate` is the gamma of Lemma 1, the worst of all plants; `spectral_radius`
-            below one says that the trials converge all the same. For another Q than that of the
-            design: :func:`convergence`.
+            Print it. `rate` is the gamma of Lemma 1 for the worst plant. If `spectral_radius` is
+            below one, trials converge even if the rate is above one. For another Q, see
+            :func:`convergence`.
         """
         design = self.problem
         first, *_ = named(P).values()

@@ -44,73 +44,71 @@ def run_trials(
 ) -> xr.Dataset:
     """Simulate trials of a loop under a law: w_k = r + v_k, v_{k+1} = Q (v_k + L e_k).
 
-    These are (22) and (23) of the paper, the loop (19); a start is the same in all trials. Of a
-    ClosedLoop whose inputs are named, w_k = F r + G v_k.
+    These are (22) and (23) of the paper, around the loop (19). All trials have the same initial
+    state. For a ClosedLoop whose inputs are named, w_k = F r + G v_k.
 
-    All signals are in the units of the loop's plant. Labelled signals, by the columns of a
-    DataFrame or a coordinate of a DataArray, are matched by name. Of one channel, signals may have
-    the shape (time,). The times of reference and disturbance, an index or a coordinate, are
-    compared with Ts where they are floats, in s; no others are, dates among them.
+    All signals are in the units of the loop's plant. Labelled signals (columns of a DataFrame, or
+    a coordinate of a DataArray) are matched by name. Signals of one channel may have the shape
+    (time,). If the times of reference and disturbance are floats, they must agree with Ts, in s.
 
     Parameters
     ----------
     loop : CurrentTrialLoop or ClosedLoop
-        With p outputs, m learned inputs and d disturbances. Of a ClosedLoop only P is simulated,
-        no disturbance.
+        A loop with p outputs, m learned inputs and d disturbances. For a ClosedLoop only P is
+        simulated, without disturbances.
     law : Law
-        With limits, commands are cut off at them, and the observer is informed of that.
+        If the law has limits, commands saturate, and the observer takes the applied commands.
     reference : array_like, shape (time, p) or (trial, time, p)
-        Reference trajectory, of all trials or of each. NaN stands for nothing that is asked at a
-        sample: the error there is zero, and counts for nothing. It takes an L of
-        :class:`ilctools.NormOptimal`, and a number at the first sample. Where v is added to the
-        reference, that runs on straight lines from point to point.
+        Reference trajectory of all trials, or of each trial. NaN means that nothing is asked at a
+        sample: the error is zero there, and does not count. NaN needs an L of
+        :class:`ilctools.NormOptimal`, and the first sample must be a number. If v is added to the
+        reference, straight lines connect the points.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         In the order of ``loop.disturbances``. Default zero.
     trials : int
     plant : control.StateSpace or control.TransferFunction, optional
-        Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`; for
-        a ClosedLoop, another P.
+        The plant that is simulated, as in :meth:`CurrentTrialLoop.around`, or another P for a
+        ClosedLoop. Default: the plant of the design.
     noise : array_like, shape (trial, time, p), optional
-        Added to what the sensors report: both observer and learning see it; of a ClosedLoop,
-        learning only.
+        Noise of the sensors. Observer and learning see it; for a ClosedLoop only learning does.
     initial_state : array_like, shape (n,), optional
-        State at the start of every trial of the plant that is simulated, unknown to the observer,
-        or of P. Default zero.
+        State of the simulated plant, or of P, at the start of every trial. The observer does not
+        know it. Default zero.
     v : array_like, shape (time, m), optional
-        ILC signal of the first trial. Default zero; with limits of outputs what `pilot` says.
+        ILC signal of the first trial. Default: zero, or what `pilot` says.
     reset : bool
-        Whether every trial starts from the initial state. If not, trials are periods of a plant
-        that never rests: state and observer go on, and the filters reach across the border, see
-        :mod:`ilctools.law.repetitive`. L must be a LearningFilter, ``rest`` zero, a trial longer
-        than Q and L look ahead; what they take the `ends` to be has no effect. At limits commands
-        are cut off, not projected, and learning goes on from what was applied.
+        Whether every trial starts from the initial state. If False, trials are periods of a plant
+        that never rests, see :mod:`ilctools.law.repetitive`. Then L must be a LearningFilter,
+        ``rest`` must be zero, and a trial must be longer than Q and L look ahead. At limits,
+        commands saturate and are not projected; learning goes on from the applied commands.
     pilot : float, optional
-        Share of the reference, above where it begins, that drives trial 1, by its v. Default: with
-        limits of outputs, what P and its radius let through if no disturbance repeats.
+        Share of the reference, relative to its first sample, that drives trial 1, by means of v.
+        Default: the whole reference; with limits of outputs the share that P and its radius allow
+        if no disturbance repeats.
     between : {'law', 'transfer'}
-        How v follows where the reference is another than in the trial before: by the law, or by
-        :func:`ilctools.transfer` from all trials so far and the loop's P, if it has one.
+        What computes v if the reference differs from that of the trial before: the law, or
+        :func:`ilctools.transfer`, from all trials so far and from the loop's P.
 
     Returns
     -------
     xarray.Dataset
         The signals reference, v, u, y, delta (the estimate of the input disturbance), disturbance,
-        and e = reference - y, the error that the controller sees. Each has the dimensions trial
-        (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
-        channels have the coordinates output, control, output_unit and control_unit. Where v is not
-        added to references one for one, it has the dimension input. Of a ClosedLoop there are no u
-        and delta. With limits, applied is what they leave of u.
+        and e = reference - y, the error that the controller sees. Their dimensions are trial
+        (1, 2, ...), time (s), and channel (1, 2, ...) or source. Their unit is an attribute.
+        Channels have the coordinates output, control, output_unit and control_unit. If v is not
+        added to references one for one, its last dimension is input. For a ClosedLoop there are no
+        u and delta. With limits, applied is the saturated u.
 
     Warns
     -----
     UserWarning
-        If the trials show that they do not converge, see :mod:`ilctools.trials.diagnosis`; if
-        commands are beyond the limits; if a reference starts away from rest, where trials begin.
+        If the trials do not converge, see :mod:`ilctools.trials.diagnosis`. If commands exceed the
+        limits. If a reference does not start at rest, where trials begin.
 
     Raises
     ------
     ValueError
-        If something does not belong together; without reset, if trials are too short.
+        If arguments do not belong together, or if trials without reset are too short.
 
     See Also
     --------
