@@ -44,52 +44,52 @@ def read_table(
     """Read a table that another program wrote, as a log.
 
     A column is named by its title, with or without the unit in brackets, or by its number from 0
-    on. That two signals have one column is not refused.
+    on. Two signals may share a column.
 
     Parameters
     ----------
     path : path-like or pandas.DataFrame
-        The file, which pandas reads, or what pandas has read of it.
+        A file that pandas can read, or a table that pandas has read.
     outputs : dict
         The column of each controlled output, by the name that the output gets.
     inputs : dict, optional
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
-        Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
-        by default s, also of "millis"; or dates that pandas has parsed, as with the options
-        ``parse_dates=["t"], date_format="ISO8601"``. Without it, rows are `Ts` apart. A clock that
-        counts ms, us or ns from 1970 on needs its unit; as s it is refused.
+        Column of the clock. Without it, rows are `Ts` apart. The clock has numbers in the unit of
+        its title, such as "t (ms)" or "t_ms", or in the unit that `units` gives; the default is s.
+        Or it has dates that pandas has parsed, by the options
+        ``parse_dates=["t"], date_format="ISO8601"``. A clock that counts from 1970 on in ms, us or
+        ns needs its unit.
     Ts : float, optional
-        Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter;
-        without `time` it is needed.
+        Sampling period, s, which is needed without `time`. Default: the mean step of the clock,
+        rounded as far as steps scatter.
     reference : dict, optional
-        Column of what each output is to follow. Default: not known.
+        Column of the reference of each output. Default: not known.
     v : dict, optional
         Column of the ILC signal that was added to the reference. Default: zero.
     disturbances, measured : dict, optional
-        Columns of other inputs of the plant, and of what else was measured.
+        Columns of measured inputs that no loop commands, and of further measured signals.
     trial : str or int, optional
         Column of the number of the trial, from 0 or 1 on. Default: all rows are one trial.
     units : dict, optional
-        Units by name, or of ``"time"``, in the place of those in the titles. They are labels: only
-        that of time is converted.
+        Units by name, and the unit of ``"time"``, instead of the units in the titles. Units are
+        labels, except that the clock is converted to s.
     **options
-        For :func:`pandas.read_csv`, if the file is not comma-separated below one line of titles:
-        ``sep=";"``, ``decimal=","``, ``skiprows``, ``encoding="cp1252"``, ... Numbers are read to
-        the last digit from pandas 3.1 on.
+        Options of :func:`pandas.read_csv`, for files that are not comma-separated below one line of
+        titles: ``sep=";"``, ``decimal=","``, ``skiprows``, ``encoding="cp1252"``, ...
 
     Returns
     -------
     xarray.Dataset
-        As :func:`load_log` gives it, for :func:`save_log`, :func:`measured_response` and replays;
-        ``reference``, ``v`` and ``e`` only if there is a reference.
+        A log as from :func:`load_log`, for :func:`save_log`, :func:`measured_response` and
+        :func:`replay`. It has ``reference``, ``v`` and ``e`` only if there is a reference.
 
     Raises
     ------
     LogError
-        The first thing that is wrong with the table, with its column, and its row as pandas counts
-        them: 0 is the first one below the titles. For a file that is no text in `encoding`, by
-        default UTF-8, such as a workbook, the error says what to do.
+        If something is wrong with the table. The error names the column and the row; row 0 is the
+        first one below the titles. If the file is not text in `encoding` (default UTF-8), for
+        example a workbook, the error says what to do.
 
     See Also
     --------
@@ -98,9 +98,9 @@ def read_table(
 
     Notes
     -----
-    Clocks jitter. Each step may differ from `Ts` by a tenth of it, and their mean by a hundredth:
-    the samples then count as `Ts` apart, and the attribute ``clock`` says how it ran.
-    Rows that are lost or late must be interpolated before.
+    Clocks jitter. Each step may differ from `Ts` by 10 %, and the mean step by 1 %. The samples
+    then count as `Ts` apart, and the attribute ``clock`` says how the clock ran. Interpolate rows
+    that are lost or late before.
 
     Examples
     --------

@@ -92,33 +92,33 @@ def multisine(
     realisations: int | None = None,
     seed: int = 0,
 ) -> Excitation:
-    """An excitation for a loop: as many periods as fit into the time, lines all over the band.
+    """Design an excitation for a loop: periodic multisines, with low peaks, within some hours.
 
     Parameters
     ----------
     loop : CurrentTrialLoop or ClosedLoop
-        Its sampling period and number of channels count; the model in it does not.
+        The loop that will be excited. Only its sampling period and its channels matter.
     lowest, highest : float
-        Frequencies, rad/s. The lowest sets the period. Below it, P is known only of a loop whose
-        observer integrates, where P(0) = I; above the highest, not at all.
+        Lowest and highest excited frequency, rad/s. The lowest one sets the period. The excitation
+        does not show P below the lowest and above the highest frequency.
     amplitude : float or array_like, shape (m,)
-        Largest |w| of each learned input, in its unit: where v is added to references, of outputs.
+        Largest |w| of each learned input, in the unit of the input.
     hours : float
-        Time for all experiments, in hours, not seconds. If it is too short, the error says what is
+        Time for all experiments, in hours. If the time is too short, the error says how much is
         needed.
     lines : int
-        Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
-        they would fall on the same, there are fewer.
+        Number of excited frequencies, or lines, evenly spaced on a logarithmic scale. There are
+        fewer lines if some would fall on the same harmonic.
     realisations : int, optional
-        Of random phases, which show what of the loop is not linear. Default: as many as the time
-        allows for, if two periods of each are evaluated, but no more than 10.
+        Number of realisations of random phases. Their scatter shows what is not linear. Default: as
+        many as fit into the time with two evaluated periods each, but at most 10.
     seed : int
-        Of the random numbers from which the phases with low peaks are found.
+        Seed of the random phases.
 
     See Also
     --------
-    shake : what applies it
-    measured_response : P, from the record
+    shake : applies the excitation to a rig
+    measured_response : estimates P from the record
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Another task tomorrow: the first ILC signal of a new reference, from the trials of others.
 
-By (30), y_k = P (r_k + v_k) + P~ d in any trial, converged or not, so that with e_k = r_k - y_k
+By (30), y_k = P (r_k + v_k) + P~ d in any trial, converged or not. With e_k = r_k - y_k follows
 
     v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d:                                (1)
 
@@ -11,8 +11,8 @@ With F y_k = Phi_k f by the taps f of F, and t_k = v_k + e_k, one ridge regressi
 
     minimise  sum_k ||t_k - Phi_k f - c||^2 + lambda f' D f + gamma ||c||^2.                  (2)
 
-With the means Phi and t over K trials, and rho = gamma / (K + gamma), its solution for c, and what
-is left to be minimised by f, are
+Let Phi and t be the means over K trials, and rho = gamma / (K + gamma). Then c, and the cost that f
+minimises, are
 
     c = (1 - rho) (t - Phi f),                                                                (3)
     sum_k ||t_k - t - (Phi_k - Phi) f||^2 + rho K ||t - Phi f||^2 + lambda f' D f.            (4)
@@ -26,9 +26,9 @@ its regularised inverse over a trial, (1) is
 
     v_k + r_k = G z_k + c,    G = P^-1 M,    v = G M^+ r + c - r,                             (5)
 
-G near I, and (2) to (4) are of G - I with z_k in the place of y_k and v_k + r_k - z_k as t_k. With
-one trial G is taken to be diagonal, as if each input had an error of its own: a trial says one
-number for each output and frequency, and a matrix has m of them.
+G near I, and (2) to (4) are of G - I with z_k in the place of y_k and v_k + r_k - z_k as t_k. A
+single trial has one number for each output and frequency, but each row of G has m. With one trial
+G is therefore taken to be diagonal, as if each input had an error of its own.
 """
 
 from collections.abc import Sequence
@@ -93,40 +93,39 @@ class Transfer:
 def transfer(
     trials: xr.Dataset | Sequence[xr.Dataset], reference, model: Loop | Model | None = None
 ) -> Transfer:
-    """Compute the first ILC signal of another task from trials of one task or of several.
+    """Compute a first v for a new reference from trials of other references.
 
     Parameters
     ----------
     trials : xarray.Dataset or list of them
-        From :func:`run_trials`, :func:`record` or :func:`load_log`, of one plant and loop, under
-        the same disturbance, of the same length, each from a reset, as y counts as constant beyond
-        its ends: those of another are to be left out, by isel. All
-        count, the first most of all. Where actuators cut off, with v as
-        the loop's `realised` has it.
+        Trials from :func:`run_trials`, :func:`record` or :func:`load_log`, of one plant and loop,
+        with the same disturbance and of the same length, each from a reset. Leave others out, by
+        isel. The first trials of a task say most. If actuators saturate, pass the v that was
+        realised, see the loop's `realised`.
     reference : array_like, shape (time, m)
-        Of the new task, of any length; beyond the end of the trials the compensation is zero. At
-        frequencies where it has power and the earlier ones had hardly any, v is a guess; above the
-        cut-off of Q a law takes v away again.
+        The new reference, of any length. Where it has frequencies that the earlier references
+        lacked, v is a guess. Beyond the end of the trials, no disturbance is compensated.
     model : control.StateSpace or a loop with a model, optional
-        What is known of the response from references to y. It may be wrong, as trials correct it:
-        one trial then says more. Default: nothing is known.
+        A model of the response from references to y. The trials correct a wrong model, and fewer
+        trials are needed than without one. Default: no model.
 
     Warns
     -----
     UserWarning
-        If F and c predict little of the trials; if the trials leave v uncertain, as one alone does.
+        If F and c predict little of the trials, or if the trials leave v uncertain.
 
     See Also
     --------
-    run_trials : what takes its v
+    run_trials : takes v for the first trial
     record : trials on a rig
 
     Notes
     -----
     The lags of F grow geometrically up to half a trial, with straight lines between, and are
-    weighted as slopes, (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r:
-    v within a task, and the reference between tasks. The weights lambda and rho, and whether F(0) =
-    0, have the largest likelihood in cross-validation over blocks of time.
+    weighted as slopes, (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r.
+    Within a task v differs, and between tasks the reference does. Cross-validation over blocks of
+    time chooses the weights lambda and rho, and whether F(0) = 0. Above the cut-off of Q, a law
+    removes v again.
 
     Examples
     --------
