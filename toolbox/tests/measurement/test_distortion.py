@@ -63,6 +63,7 @@ def test_what_is_not_linear_widens_the_radius(seed):
     alone, P = estimated_response([log], "w"), measured_response(log)
     assert P.radius().max() > 1.3 * alone.radius().max()
     assert "smaller ones may see another gain" in str(P)
+    assert alone.apart > 0 == P.apart  # which is in what the lines show
     strong, its_plan = record(LAG, seed, bent=0.3)
     curved = with_distortion(estimated_response([strong], "w"), its_plan)
     assert "a smaller amplitude may help" in str(curved)

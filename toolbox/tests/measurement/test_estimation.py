@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from ilctools import current_trial_loop, measured_response
 from ilctools.law.notes import loop_note
-from ilctools.measurement.estimation import quantile
+from ilctools.measurement.estimation import RISE, SEEN, quantile
 from ilctools.signals import dataset
 from ilctools.singular_values import largest_singular_values
 
@@ -94,6 +94,25 @@ def test_an_integrator_is_said_to_rise_and_a_lag_is_not():
             except ValueError as refused:
                 said = "does not settle" in str(refused)
             assert said == rises
+
+
+def test_a_slow_lag_that_is_known_at_rest_is_not_said_to_rise():
+    """Its time constant is two thirds of the record: it rises, but under little noise P(0) is sure."""
+    rng, N = np.random.default_rng(0), 600
+    u = held(rng, 10, N)
+    y = lfilter([0, 0.005], [1, -np.exp(-1 / 400)], u)
+    estimate = measured_response(log_of(u[None], (y + 1e-4 * rng.standard_normal(N))[None]))
+    one, two = np.abs(estimate.on([2 * np.pi / N, 4 * np.pi / N])[0][:, 0, 0])
+    assert one > RISE * two and not estimate.findings
+
+
+def test_a_contradiction_too_small_to_be_said_widens_the_radius():
+    rng, N = np.random.default_rng(0), 400
+    u = held(rng, 10, N)
+    y = lfilter([0, 0.3], [1, -0.7], [u, u + 0.003 * u**3]) + 1e-4 * rng.standard_normal(N)
+    linear, curved = (measured_response(log_of(u[None], z[None])) for z in y)
+    assert linear.apart == 0 < curved.apart < SEEN and not curved.findings
+    assert np.median(curved.radius()) > curved.apart * 0.1 > np.median(linear.radius())
 
 
 def test_a_record_that_says_little_has_a_model_with_states_too():
