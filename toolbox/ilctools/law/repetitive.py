@@ -1,30 +1,34 @@
 """The law (23) for trials that follow each other without a reset: repetitive control.
 
-With a period of N samples and the learning gain a, in endless time,
+Let N be the period in samples and a the learning gain. In endless time, the law is
 
     v(t) = (1 - a) v(t - N) + a Q (v + L e)(t - N).
 
-Theorem. Let Q be scalar, the loop internally stable, P the same at all times, and N larger than Q
-and L reach ahead. If sigma_max(M) <= gamma < 1 at every frequency, M = Q (I - P L), then state and
-v tend exponentially, from any start and for any reference and disturbance of period N, to those of
-one periodic motion. With e_0 the error without learning, for a = 1
+Theorem. Let Q be scalar, the loop internally stable and P the same at all times. Let N be larger
+than the number of samples by which Q and L look ahead. Let M = Q (I - P L), and
+sigma_max(M) <= gamma < 1 at every frequency. Then the state and v converge exponentially to one
+periodic motion, for any reference and disturbance of period N. The initial condition may be any.
+Let e_0 be the error without learning. For a = 1
 
     e(t) = M e(t - N) + f(t),    f(t) = e_0(t) - Q e_0(t - N) + P w(t),
     ||e|| <= ||f|| / (1 - gamma)
 
-in energy from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is what no trial applies
-of it: of the first period, as far as Q and L reach ahead of t = N, and Q back from it. In the
-periodic motion, whatever a is, the bound holds as RMS with f = (1 - Q) e_0. Of a signal whose
-period is off by a share p, harmonic k leaves some 2 sin(pi k p) of itself; nothing warns of that.
+in energy from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is the part of the
+law's signal that no trial applies. This part belongs to the first period. It covers the samples
+after t = N that Q and L look ahead to, and the samples before t = N that Q looks back to. In the
+periodic motion, the bound holds for every a, as RMS with f = (1 - Q) e_0. If the period of a signal
+differs from N by a fraction p, about 2 sin(pi k p) of its harmonic k remains. No warning tells of a
+wrong period.
 
-Proof. As det(I - XY) = det(I - YX), v has the characteristic equation det(I - z^-N M(z)) = 0; with
-a gain, M_a = (1 - a) I + a M, and sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N,
-z^-N M(z) is causal, and analytic in |z| >= 1, as P is: by the maximum principle its largest
-singular value there is at most gamma, so that no root is there (small gain). The equation of e
-follows from P v = e_0 - e, as Q commutes with P; M delayed is causal, with norm gamma.
+Proof. Because det(I - XY) = det(I - YX), v has the characteristic equation
+det(I - z^-N M(z)) = 0. With a learning gain, M is replaced by M_a = (1 - a) I + a M, and
+sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N, z^-N M(z) is causal. It is analytic in
+|z| >= 1, because P is. By the maximum principle, its largest singular value in |z| >= 1 is at most
+gamma. Therefore no root lies in |z| >= 1 (small gain). The equation of e follows from
+P v = e_0 - e, because Q commutes with P. The delayed M is causal and has the norm gamma.
 
 :func:`ilctools.synthesise` with ``everywhere=True`` proves the condition between the samples of its
-grid, too. It promises nothing for limits at which commands are cut off, nor for N that are shorter.
+grid, too. The theorem does not cover limits at which commands saturate, nor a shorter N.
 """
 
 from functools import lru_cache
@@ -36,13 +40,13 @@ from ilctools import arguments
 from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 
-NEGLIGIBLE_OF_M = 1e-6  # at any frequency, where P is at most one: what Q's response is cut for
+NEGLIGIBLE_OF_M = 1e-6  # error of M at any frequency, if P is at most one, when Q's response is cut
 
 
 def finite_response(law: Law) -> np.ndarray:
     """Impulse response of Q, symmetric in time, without the ends that are negligible with this L.
 
-    M is Q (I - P L): what Q loses counts as often as L is large.
+    The error of M = Q (I - P L) by the missing ends is proportional to the size of L.
     """
     gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
     return _cut(law.Q, NEGLIGIBLE_OF_M / max(1.0, gain))
@@ -50,7 +54,7 @@ def finite_response(law: Law) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
-    """Impulse response of Q without ends that hold such a share of it."""
+    """Impulse response of Q without the ends that hold the fraction `share` of its sum."""
     impulse = np.zeros((2 * Q.decay + 1, 1))
     impulse[Q.decay] = 1
     h = Q.apply(impulse)[:, 0]
@@ -59,12 +63,12 @@ def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
 
 
 def reach_ahead(law: Law) -> int:
-    """Samples of the trial before that v needs beyond its own."""
+    """Number of samples by which v looks ahead in the trial before."""
     return len(finite_response(law)) // 2 + max(0, law.L.last)
 
 
 def check_period(law: Law, period: int) -> None:
-    """Check that a law can go on from trial to trial of so many samples."""
+    """Check that a law can act without reset on trials of `period` samples."""
     if law.L is None:
         return
     if law.rest:
@@ -86,14 +90,14 @@ def check_period(law: Law, period: int) -> None:
 
 
 def memory(law: Law, period: int) -> float:
-    """How many samples before it v may depend on."""
+    """Number of past samples that a sample of v may depend on."""
     if law.L is None:
         return np.inf
     return period + len(finite_response(law)) + max(0, -law.L.first)
 
 
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
-    """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
+    """Compute v in the samples from start to stop, from v and e, (time, m), of all earlier ones."""
     h = finite_response(law)
     x = np.pad(v + law.L.apply(e), [(len(h) // 2, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)
@@ -102,7 +106,7 @@ def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
 
 
 def next_samples(law: Law, v, e, first) -> np.ndarray:
-    """v in the samples that follow, as far as it follows from v and e of all before."""
+    """Compute the next samples of v, as many as v and e of all earlier samples determine."""
     period, now = len(first), len(v)
     if law.L is None or now < period:
         return first[now % period :]

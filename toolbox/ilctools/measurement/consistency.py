@@ -1,37 +1,39 @@
-"""Is it one linear plant? Score tests of what a linear plant that stays as it is cannot do.
+"""Score tests of whether the records come from one linear plant that stays as it is.
 
-Of y = X x + Z delta + e, with x ~ N(0, s^2 D) and e ~ N(0, s^2 W^-1), the regression supposes
-delta = 0. At its estimate x the score of delta and its information are, without fitting another,
+The model is y = X x + Z delta + e, with x ~ N(0, s^2 D) and e ~ N(0, s^2 W^-1). The regression
+supposes delta = 0. At the estimate x of the regression, the score q of delta and its information J
+need no further fit:
 
     q = Z' W (y - X x),    J = Z' W Z - Z' W X (X' W X + D^-1)^-1 X' W Z,                       (1)
     F = q' J^-1 q / (k s^2),                                                                    (2)
 
 and F of k columns has an F(k, n) distribution if delta = 0 and n is large (C. R. Rao, Proc.
-Cambridge Phil. Soc. 44 (1948) 50-57). One hypothesis, a set of columns Z passed by A, after the
-other:
+Cambridge Phil. Soc. 44 (1948) 50-57). The hypotheses are tested one after the other. Each one is a
+set of columns Z, filtered by A:
 
-- of one trial only, or times the time in a single trial, the simulated output and its slope:
-  another gain, another delay;
-- the sign of the last move of each input, as the plant passes it on: of an input through backlash,
-  u less half the gap times this sign comes out;
-- squares and cubes of the inputs and of the simulated output, likewise, and of the simulated output
-  by itself: a curve, a dead zone, a spring that is not linear.
+- The simulated output of one trial, and its slope, stand for another gain or another delay in this
+  trial. If there is a single trial, both are multiplied by the time.
+- The sign of the last move of each input, filtered by the plant, stands for backlash. Backlash
+  passes on u less half the gap times this sign.
+- Squares and cubes stand for a curve, a dead zone or a spring that is not linear. They are taken of
+  the inputs and of the measured output, both filtered by the plant, and of the simulated output
+  by itself.
 
-All of these are about P. The simulated output of the first hypothesis is the answer to the
-commanded inputs, and the inputs of the others are these. What a known disturbance does is in the
-simulated output whose squares and cubes are tested.
+All these hypotheses are about P. The simulated output of the first hypothesis is the response to
+the commanded inputs. The inputs of the other hypotheses are the commanded inputs. The effect of a
+known disturbance is in the simulated output whose squares and cubes are tested.
 
-What one gain more of each input explains is taken off beforehand: the prior makes gains too small,
-and of two levels squares and cubes are gains.
+What one further gain of each input explains is subtracted beforehand, for two reasons. The prior
+makes gains too small. If an input has two levels only, its squares and cubes are gains.
 
-Without a reference in the record u may follow y, and what is estimated is -1 / C: no test of
-residuals can distinguish this loop from a plant -1 / C. But plants in which something
-lags, without a lead, answer at once by a part of what they answer in the end, a sampled one by
-nothing. So it is
-said where u(t) explains y(t), by the same F, and the first coefficient of the impulse response is
-not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a million times what is
-left: a proportional controller, or a plant without lags and almost without noise. How far off P is
-cannot be known then: by all of it.
+*Feedback.* If the record has no reference, u may follow y. Then -1 / C is estimated, and no test of
+residuals can distinguish this loop from a plant -1 / C. But a plant with a lag and without a lead
+responds at once with only a part of its final response, and a sampled plant does not respond at
+once. A contradiction is therefore reported under two conditions. By the same F, u(t) must explain
+y(t). The first coefficient of the impulse response must not be between 0 and 1.1 times the sum of
+all coefficients. The factor is 0.5 instead of 1.1 if u(t) explains a million times what is left.
+This is the case for a proportional controller, or for a plant without lags and almost without
+noise. The error of P is then unknown, and counts as all of P.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -49,9 +51,10 @@ from ilctools.measurement.arx.unknowns import Kind
 
 FALSE_ALARM = 1e-3  # probability for each output
 # The first coefficient of an impulse response, relative to the sum of all: no plant has more than
-# WHOLE of it at once, nor HALF where u(t) explains ALMOST_ALL times the power of the rest: counted.
+# WHOLE. No plant has more than HALF if u(t) explains ALMOST_ALL times the power of the rest. The
+# numbers were found by counting.
 WHOLE, HALF, ALMOST_ALL = 1.1, 0.5, 1e6
-EXPLAINED = 1e-9  # relative: what others leave of a column, if it is no more than rounding
+EXPLAINED = 1e-9  # relative: what others do not explain of a column, if it is only rounding
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
@@ -61,46 +64,47 @@ FOLLOWS = (
 
 
 class Hypothesis(NamedTuple):
-    """What no linear plant does: columns of Z."""
+    """Something that no linear plant does, as columns of Z."""
 
     words: str
     columns: int
-    # Of a part the first column is its own output, whose power stands for P; of others, the power
-    # of the gains of all commanded inputs does.
+    # Whether the hypothesis is about a part of the records. The first column is then the output of
+    # this part, whose power stands for P. For other hypotheses, the power of the gains of all
+    # commanded inputs stands for P.
     of_part: bool
 
 
 class Contradiction(NamedTuple):
-    """What the records say against one linear plant."""
+    """A contradiction of the records with one linear plant."""
 
     words: str
-    by: float  # of P
+    by: float  # relative to P
 
 
 class Score(NamedTuple):
-    """(1), of columns Z."""
+    """The score and its information (1), for columns Z."""
 
     q: np.ndarray  # (column,)
     J: np.ndarray  # (column, column)
     power: np.ndarray  # Z' W Z
 
     def explained(self, columns: list[int]) -> float:
-        """q' J^-1 q of some columns; those that others explain are nothing."""
+        """Compute q' J^-1 q of some columns; columns that others explain add nothing."""
         unit, among = np.sqrt(self.power.diagonal()), np.ix_(columns, columns)
         z, J = (self.q / unit)[columns], (self.J / unit / unit[:, None])[among]
         return z @ np.linalg.pinv(J, EXPLAINED, True) @ z
 
     def power_of(self, columns: list[int]) -> float:
-        """The power of the sum of some columns."""
+        """Compute the power of the sum of some columns."""
         return self.power[np.ix_(columns, columns)].sum()
 
 
 def contradictions(
     fit: Regression, groups: Sequence[Trials], reference: bool = True
 ) -> Iterator[Contradiction]:
-    """What contradicts one linear plant, in words, and by how much of P.
+    """Find what contradicts one linear plant, in words, and by how much relative to P.
 
-    `reference`: whether the reference is in the record, or else u may follow y.
+    `reference` says whether the reference is in the record. If it is not, u may follow y.
     """
     asked, n = hypotheses(groups), fit.data.n
     level = FALSE_ALARM / len(asked)
@@ -149,10 +153,11 @@ def score(
 
 
 def columns_of(fit: Regression, groups: Sequence[Trials]) -> Callable[[Series], np.ndarray]:
-    """Z of a series, transposed, (column, time): of each part, and of the other hypotheses.
+    """Return a function that makes Z of a series, transposed, (column, time).
 
-    What belongs to a series is found by its key. A column of one trial only is made when it is
-    asked for: of 90 trials there are 180 in each series.
+    Z has the columns of each part, and then the columns of the other hypotheses. The columns of a
+    series are found by its key. A column of one trial only is made when needed, because 90 trials
+    have 180 such columns in each series.
     """
     g = fit.impulse(longest_of(groups)).T
     made = [_of_group(fit, g, group) for group in groups]
@@ -171,20 +176,20 @@ def columns_of(fit: Regression, groups: Sequence[Trials]) -> Callable[[Series], 
 class _OfGroup(NamedTuple):
     """The columns of the trials of a group."""
 
-    own: np.ndarray  # of each trial alone, (trial, 2, time)
-    shared: np.ndarray  # of all hypotheses on all trials, (contrast, time, column)
+    own: np.ndarray  # columns of each trial alone, (trial, 2, time)
+    shared: np.ndarray  # columns of all hypotheses on all trials, (contrast, time, column)
 
 
 def _of_group(fit, g, group):
-    """`g`: impulse responses to all inputs, (time, m + d)."""
+    """Make the columns of a group; `g` has the impulse responses to all inputs, (time, m + d)."""
     K, N, _ = group.u.shape
     of_P, u = g[:, : group.commanded], group.u[..., : group.commanded]
     answer = _through(of_P, u).sum(axis=2, keepdims=True)
     y = _through(g, group.u).sum(axis=2, keepdims=True)
     own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
     own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
-    # a curve or dead zone before the plant, behind it, or fed back, as of a spring: by y as it was
-    # measured before, from which its noise at t is independent
+    # A curve or a dead zone may be before the plant, behind it, or fed back as by a spring. For the
+    # last one, y as measured one sample before is used: the noise at t is independent of it.
     earlier = np.pad(group.y, [(0, 0), (1, 0), (0, 0)])[:, :-1]
     before = (_through(of_P, z**k) for z in (u, np.repeat(earlier, u.shape[2], 2)) for k in (2, 3))
     powers = np.concatenate([*before, y**2, y**3], axis=2)
@@ -194,12 +199,12 @@ def _of_group(fit, g, group):
 
 
 def _through(g, z):
-    """Signals (trial, time, column) behind impulse responses (time, 1 or column)."""
+    """Filter signals (trial, time, column) by impulse responses (time, 1 or column)."""
     return fftconvolve(z, g[None], axes=1)[:, : z.shape[1]]
 
 
 def _last_move(u):
-    """Backlash: the sign of the last move, less that at the beginning, opposite to the first."""
+    """Backlash: the sign of the last move, less an initial sign opposite to the first move."""
     signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
     signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
     samples = np.arange(len(signs)).reshape(-1, 1, 1)
@@ -208,7 +213,7 @@ def _last_move(u):
 
 
 def _at_once(fit, level):
-    """Whether y answers a commanded input at once, as by -1 / C: relative to the sum of g."""
+    """Whether y responds to a commanded input at once, as by -1 / C, relative to the sum of g."""
     layout, n = fit.data.layout, fit.data.n
     for j, g in enumerate(fit.impulse(2 * layout.lags)[: fit.commanded]):  # slow parts answer later
         lags = np.zeros((layout.size, 1))

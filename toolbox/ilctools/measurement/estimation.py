@@ -1,28 +1,30 @@
 """The frequency response of any records in which the input moved, with its region.
 
-One regression for each output; see :mod:`ilctools.measurement.arx.regression`. With A of that
-output, to first order in the errors dA and dB of its posterior, and then without approximation,
+Each output has a regression of its own, see :mod:`ilctools.measurement.arx.regression`. A is the
+denominator of the output, and dA and dB are the errors of its posterior. To first order in these
+errors, and then without approximation,
 
     dP_j = (dB_j - P_j dA) / A,    P_j true - P_j = dP_j / (1 + dA / A).                        (1)
 
 *Radius.* Let S be the covariance of all real and imaginary parts of dP. Then ||dP||^2 in the
-Frobenius norm, which is no less than the square of the largest singular value, has the mean tr S
-and the variance 2 tr S^2: it is taken to be gamma distributed (F. E. Satterthwaite, Biometrics
-Bulletin 2 (1946) 110-114). Between outputs the errors may be alike in any way: then tr S is the sum
-of their traces, and the root of tr S^2 is no more than the sum of theirs. Let x be its quantile at
-1 - p, in units of the gamma distribution's scale theta. The division by 1 + a, where a = dA / A is
-complex and normal with variance sigma^2, makes the tail heavier: for one circular and independent
-entry of dP
+Frobenius norm has the mean tr S and the variance 2 tr S^2. The Frobenius norm is no less than the
+largest singular value. ||dP||^2 is taken to be gamma distributed (F. E. Satterthwaite, Biometrics
+Bulletin 2 (1946) 110-114). The errors of different outputs may be correlated in any way. Then tr S
+is the sum of the outputs' traces, and the root of tr S^2 is no more than the sum of the outputs'
+roots. Let x be the quantile of ||dP||^2 at 1 - p, in units of the gamma distribution's scale theta.
+The division by 1 + a makes the tail heavier. Here a = dA / A is complex and normal with variance
+sigma^2. For one circular and independent entry of dP
 
     P(|dP|^2 > theta t |1 + a|^2) = exp(-t / (1 + t sigma^2)) / (1 + t sigma^2) = exp(-x),      (2)
 
-which has one solution t by Wright's omega function, and the radius is c (theta t)^(1/2). c is
-`FACTOR`, or `JOINT` at all frequencies at once, where p is divided by `INDEPENDENT`: what makes
-benchmarks cover (docs/estimator.md).
+which has one solution t by Wright's omega function. The radius is c (theta t)^(1/2). At each
+frequency by itself, c is `FACTOR`. For all frequencies at once, c is `JOINT`, and p is divided by
+`INDEPENDENT`. These numbers make the benchmarks cover (docs/estimator.md).
 
-*Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero, and A has as many
-zeros outside as its estimate (Rouche): none, or the plant does not settle. It may, or may not,
-where zero is within `UNSTABLE` standard deviations of Re(1 + a) at a frequency.
+*Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero. Then A has as many
+zeros outside the circle as its estimate (Rouche). If there are any, the plant does not settle. The
+plant may or may not settle if, at a frequency, zero is within `UNSTABLE` standard deviations of
+Re(1 + a).
 """
 
 from bisect import bisect_left
@@ -48,18 +50,20 @@ from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
 
-FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes benchmarks cover
-INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
-HANKEL_ROWS = 300  # samples; states of a model at most
-ROUNDING_OF_HANKEL = 1e-12  # of the largest singular value, below which it is rounding
-STATED_FREQUENCIES = 200  # at which P is stated
-MODEL_NEAR = 0.1  # of the largest P: so near is a model, also where the radius is larger
-SEEN = 0.02  # of P: smaller contradictions widen the radius, but are not said
+FACTOR, JOINT = 0.85, 1.3  # factors of radii, at each frequency and at all: benchmarks then cover
+INDEPENDENT = 50  # number of frequencies that count as independent: for all, p is divided by it
+HANKEL_ROWS = 300  # samples; also the largest number of states of a model
+ROUNDING_OF_HANKEL = 1e-12  # relative to the largest singular value: smaller ones are rounding
+STATED_FREQUENCIES = 200  # number of frequencies at which P is stated
+MODEL_NEAR = 0.1  # relative to the largest P: a model is as near, even if the radius is larger
+SEEN = 0.02  # relative to P: smaller contradictions widen the radius, but are not reported
 WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
-UNSTABLE = 0.77  # smaller, it is said of fewer plants that do not settle; larger, of more that do
-# P rises as that of an integrator if, from twice the lowest frequency that the record resolves down
-# to that one, it grows by more than this: an integrator's by 2, of a lag of a sixth of the record
-# by 1.6. Counted, as is how many times its radius P must be at rest for a lag to be sure.
+# A smaller value warns of fewer plants that do not settle. A larger one warns of more that do.
+UNSTABLE = 0.77
+# P rises like the P of an integrator if it grows by more than RISE from twice the lowest resolved
+# frequency down to this frequency. An integrator grows by 2, and a first-order lag with a time
+# constant of a sixth of the record grows by 1.6. P at rest must be SURE_OF_REST times its radius
+# for a lag to be certain. Both numbers were found by counting.
 RISE, SURE_OF_REST = 1.9, 3.0
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
@@ -70,10 +74,11 @@ class Agreement(NamedTuple):
     Attributes
     ----------
     contradicts : bool
-        Whether the two estimates are further apart at a frequency than both are uncertain; for
-        records of one linear plant with a probability of 1 %.
+        Whether the two estimates are further apart at a frequency than both are uncertain. For
+        records of one linear plant, the probability of this is 1 %.
     by : float
-        If so, by how much of P, where it is least likely; else zero.
+        The distance relative to P, at the frequency where the distance is least likely. Zero if
+        the records agree.
     """
 
     contradicts: bool
@@ -82,28 +87,28 @@ class Agreement(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class EstimatedResponse(Measured):
-    """The frequency response from an input to y as estimated, and how far off it may be.
+    """The estimated frequency response from an input to y, and how wrong the estimate may be.
 
-    Where the records say little, what was assumed before them makes the radius.
+    At frequencies where the records contain little information, the prior determines the radius.
     """
 
     omega: np.ndarray  # rad/s, shape (n,)
-    fits: tuple[Regression, ...]  # of each output
+    fits: tuple[Regression, ...]  # the regression of each output
     record: Record
-    units: np.ndarray  # shape (outputs, inputs): of P, by which each fit is multiplied
-    apart: float = 0.0  # of P, by which records contradict one linear plant
+    units: np.ndarray  # shape (outputs, inputs): units of P, by which each fit is multiplied
+    apart: float = 0.0  # relative to P: by how much records contradict one linear plant
     findings: tuple[str, ...] = ()
-    lines: Measured | None = None  # of an excitation: P at its lines, without a model between them
+    lines: Measured | None = None  # P at the lines of an excitation, with no model between them
     linear: bool = True  # whether the lines show nothing that is not linear
 
     @property
     def loop(self) -> Loop:
-        """From whose w to y it is; a ClosedLoop without P, if the record names none."""
+        """The loop whose response is estimated; a ClosedLoop without P if the record names none."""
         return self.record.loop
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
-        """Of inputs and outputs."""
+        """The names of the inputs and of the outputs."""
         return self.record.inputs, self.loop.outputs
 
     @cached_property
@@ -113,27 +118,28 @@ class EstimatedResponse(Measured):
 
     @cached_property
     def known(self) -> np.ndarray:
-        """Where P is identified, shape (n,), bool: its radius of 95 % is less than P."""
+        """Where P is identified, shape (n,), bool: the 95 % radius is less than P."""
         return self.radius() < largest_singular_values(self.response)
 
     @cached_property
     def resolved(self) -> np.ndarray:
         """Where a design may begin, shape (n,), bool: identified, and a period fits into a record.
 
-        A record of T seconds distinguishes frequencies that are 2 pi / T apart, as those of its
-        discrete Fourier transform are: below 2 pi / T it cannot tell a slow motion from an offset
-        or a drift, and the prior decides. If P is identified only there, it may begin there.
+        A record of T seconds distinguishes frequencies that are 2 pi / T apart, like the
+        frequencies of its discrete Fourier transform. Below 2 pi / T the record cannot distinguish
+        a slow motion from an offset or a drift, and the prior decides. If P is identified only
+        below 2 pi / T, a design may begin there.
         """
         fits = self.omega >= self._lowest
         return self.known & fits if np.any(self.known & fits) else self.known
 
     @property
     def _lowest(self):
-        """2 pi / T, rad/s: a period of it fits into the longest record."""
+        """2 pi / T, rad/s: the lowest frequency of which a period fits into the longest record."""
         return 2 * np.pi / (self.record.longest * self.loop.Ts)
 
     def _unsettled(self):
-        """Outputs that may not settle, in words; refuses those that do not."""
+        """Name the outputs that may not settle, in words; refuse outputs that do not settle."""
         shares = UNSTABLE * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
         rising, lowest = self._rises(), self._lowest
         for i, (name, fit) in enumerate(zip(self.loop.outputs, self.fits, strict=True)):
@@ -152,7 +158,7 @@ class EstimatedResponse(Measured):
                 )
 
     def _rises(self):
-        """Whether P to each output rises as that of an integrator, and is uncertain at rest."""
+        """Whether P to each output rises like an integrator, and is uncertain at rest."""
         one, two = np.linalg.norm(self._at(self._lowest * np.array([1.0, 2.0])), axis=2)
         at_rest = largest_singular_values(self.response[:1]) < SURE_OF_REST * self.radius()[0]
         return at_rest & (one > RISE * two)
@@ -162,7 +168,7 @@ class EstimatedResponse(Measured):
         return self.units * np.stack(rows, axis=1)
 
     def _moments(self, omega):
-        """tr S and the root of tr S^2, (n,), and variances of dA / A, (output, 2, n)."""
+        """Compute tr S and the root of tr S^2, (n,), and variances of dA / A, (output, 2, n)."""
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
             S, share = fit.covariance(omega * self.loop.Ts)
@@ -191,16 +197,18 @@ class EstimatedResponse(Measured):
         return replace(self, units=self.units * of_P)
 
     def model(self) -> control.StateSpace:
-        """A model near P, of which the next lower order is not.
+        """Compute a model near P, with the lowest order that is near enough.
 
-        Near is within the joint radius of 99 % and, where a period fits into a record, within a
-        tenth of the largest P: of a record that says little, too, the model is like the estimate.
+        A model is near P if its error is within the joint 99 % radius. At frequencies of which a
+        period fits into a record, the error must also be within a tenth of the largest P. So the
+        model is like the estimate even if the record contains little information.
 
-        Balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
-        (1978) 705-714); a delay is states, too. A LogError if no order is enough.
+        The model is balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar
+        Conference (1978) 705-714). A delay also takes states. If no order is enough, a LogError is
+        raised.
         """
         radius, (inputs, outputs) = self.radius(CONFIDENCE, jointly=True), self.names
-        fits = self.omega >= self._lowest  # below, a record cannot tell what P is
+        fits = self.omega >= self._lowest  # below, a record cannot show what P is
         most = MODEL_NEAR * largest_singular_values(self.response[fits]).max()
         radius[fits] = np.minimum(radius[fits], most)
         rows = min(HANKEL_ROWS, self.record.longest - 1)
@@ -225,17 +233,17 @@ class EstimatedResponse(Measured):
         )
 
     def check(self, log: xr.Dataset) -> Agreement:
-        """Whether a record that the estimate was not made of contradicts it, and by how much.
+        """Check whether another record contradicts the estimate, and by how much.
 
         Parameters
         ----------
         log : xarray.Dataset
-            Another record of the same plant, from the same input.
+            A record of the same plant, from the same input, that was not used for the estimate.
 
         Returns
         -------
         Agreement
-            With ``contradicts`` and ``by``.
+            The result, with ``contradicts`` and ``by``.
         """
         other = estimated_response([log], self.record.source)
         check_match(P=self.loop, log=other.loop)
@@ -307,7 +315,7 @@ def estimated_response(
         groups = [replace(group, y=group.y[..., [i]]) for group in record.groups]
         fits.append(regression(groups, record.direct, record.delay, gain))
         found = sorted(contradictions(fits[i], groups, noted), key=lambda one: -one.by)
-        apart = max([apart, *(one.by for one in found)])  # what is too small to be said, too
+        apart = max([apart, *(one.by for one in found)])  # also what is too small to report
         if said := [one for one in found if one.by > SEEN]:
             contradictory.append(_in_words(name, said))
     nyquist = np.pi / record.loop.Ts
@@ -326,10 +334,10 @@ def estimated_response(
 
 
 def quantile(trace, root, shares, p: float) -> np.ndarray:
-    """What ||dP|| / |1 + a| exceeds with the probability p by (2), (n,).
+    """Compute the value that ||dP|| / |1 + a| exceeds with the probability p, by (2), (n,).
 
-    `trace` of S and the `root` of tr S^2, (n,); `shares`: variances of both parts of dA / A of each
-    output, (output, 2, n).
+    `trace` is tr S and `root` is the root of tr S^2, both (n,). `shares` are the variances of the
+    real and the imaginary part of dA / A of each output, (output, 2, n).
     """
     shape = trace**2 / (2 * root**2)
     x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
@@ -340,14 +348,14 @@ def quantile(trace, root, shares, p: float) -> np.ndarray:
 
 
 def _at_rest(record, units):
-    """P(0) of each output in these units, where the loop's observer integrates; else None."""
+    """P(0) of each output in these units, if the loop's observer integrates; else None."""
     if record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
         return np.eye(len(units)) / units
     return [None] * len(units)
 
 
 def _in_words(name, said):
-    """Contradictions of one output, the largest first, as a finding."""
+    """State the contradictions of one output as a finding, the largest first."""
     words = "; ".join(f"{one.words} (by {one.by:.0%} of P)" for one in said[:WORDS_AT_MOST])
     return (
         f"{name} is not that of one linear plant: {words}. The radius is larger for it: "

@@ -1,4 +1,4 @@
-"""The door: plants in whatever form they are known become one Response."""
+"""The door: turns plants, in whatever form they are known, into one Response."""
 
 import reprlib
 from dataclasses import replace
@@ -19,16 +19,16 @@ from ilctools.response.samples import SAME_FREQUENCY, Assumed, Samples
 from ilctools.response.scale import Scale, scale_of
 from ilctools.signals import Signals, check_match
 
-CHOSEN_FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
+CHOSEN_FREQUENCIES = 1000  # of a grid that is chosen by default; the paper has as many
 LOWEST_CUTOFF = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
-DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
+DECADES = 3  # of a chosen grid below the cut-off of Q, as in the paper: 1e-4 to 0.1 rad/s
 FROM_ONE = 0.3  # up to which P counts as the identity
 # relative, of a table: digits of its last frequency, and of P, which is real there
 PRINTED_DIGITS = 1e-6
 
 
 class Accuracy(NamedTuple):
-    """How well P is known, in units of `scale`; fields of :class:`.Response`."""
+    """How well P is known, in units of `scale`. The fields are those of :class:`.Response`."""
 
     radius: np.ndarray | None = None
     assumptions: tuple[str | Assumed, ...] = ()
@@ -36,7 +36,7 @@ class Accuracy(NamedTuple):
 
 
 class References(NamedTuple):
-    """What references do beside v; fields of :class:`.Response`."""
+    """What references do beside v. The names are fields of :class:`.Response`."""
 
     added: bool
     of_reference: control.StateSpace | None = None
@@ -45,10 +45,11 @@ class References(NamedTuple):
 def response_of(
     P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None, like: Response | None = None
 ) -> Response:
-    """What is known of P, which must match Q, if there is one; arguments of `synthesise`.
+    """Check P, which must match Q if there is a Q, and make one Response of what is known of P.
 
-    The sampling period is that of Q or P; without omega, frequencies are chosen that suit Q. Scale
-    and directions are those of the response that it is `like`.
+    The arguments are those of `synthesise`. Without `Ts`, Q or P gives the sampling period.
+    Without `omega`, frequencies are chosen that suit Q. If a response `like` is passed, its scale
+    and directions are used.
     """
     plants = named(P)
     _refuse_no_filter(Q)
@@ -79,7 +80,7 @@ def response_of(
 
 
 def _units(like, scale, signals, p, m) -> Scale:
-    """What counts as equally large, as for the response that it is like, or as stated."""
+    """The scale of the channels: that of `like` if it is passed, else the stated one."""
     if like is None:
         return scale_of(scale, *_names(signals, p, m))
     outputs, inputs = like.scale.of_P.shape
@@ -89,7 +90,7 @@ def _units(like, scale, signals, p, m) -> Scale:
 
 
 def _refuse_no_filter(Q):
-    """Refuse what is no Q."""
+    """Refuse a Q that is a number or runs in one direction only."""
     if isinstance(Q, control.LTI | Real):
         raise ValueError(
             f"Q = {reprlib.repr(Q)} is no filter, or one that runs in one direction only: pass "
@@ -98,7 +99,7 @@ def _refuse_no_filter(Q):
 
 
 def _on_omega(plants, uncertainty, omega, Ts, Q):
-    """Plants and radius with their axes in order, and omega, of which none may have another."""
+    """Plants and radius with ordered axes, and omega, which must be the same for all of them."""
     if isinstance(omega, ZeroPhaseButterworth):
         raise ValueError(
             f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
@@ -116,7 +117,7 @@ def _on_omega(plants, uncertainty, omega, Ts, Q):
 
 
 def _accuracy(P, nominal, omega, uncertainty, scale):
-    """The radius, and what is assumed, of a measured response or of what a user says."""
+    """The radius and its assumptions, from a measured response or from the user's argument."""
     if isinstance(P, Measured):
         if uncertainty is not None:
             raise ValueError(
@@ -125,7 +126,7 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
             )
         _, radius = P.on(omega, CONFIDENCE, scale)
         low = None
-        if P.estimated:  # it says more below than a table does
+        if P.estimated:  # it also knows P below omega, as a table does not
             below = np.linspace(0, omega[0], POINTS_BELOW)
             low = Samples(below, *P.on(below, CONFIDENCE, scale))
         return Accuracy(_unless_zero(radius), P.statements(omega, CONFIDENCE), low)
@@ -141,9 +142,10 @@ def _unless_zero(radius):
 
 
 def _references(plant, scale) -> References:
-    """Whether v is added to references one for one; else what a loop makes of them, if it says so.
+    """Whether v is added to references one for one; else the loop's response to references.
 
-    A model that is not square is taken to have no references of its own.
+    A loop may not know its response to references. A model that is not square is taken to have no
+    references of its own.
     """
     if not isinstance(plant, Loop):
         return References(len(scale.y) == len(scale.v))
@@ -155,7 +157,7 @@ def _references(plant, scale) -> References:
 
 
 def _is_one(loop, omega):
-    """Whether a loop that integrates makes its P the identity, at one frequency."""
+    """Whether an integrating loop has a P near the identity, at one frequency."""
     if not isinstance(loop, CurrentTrialLoop):
         return False
     [P] = loop.frequency_response(omega)
@@ -163,7 +165,7 @@ def _is_one(loop, omega):
 
 
 def named(P) -> dict:
-    """The plants by their names in messages, the nominal one first, from one plant or several."""
+    """Return one plant or several in a dict by their names in messages, the nominal one first."""
     if isinstance(P, np.ndarray) and P.ndim == 4:
         P = [*P]
     elif labels.PLANT in getattr(P, "dims", ()):
@@ -189,12 +191,12 @@ def _is_plant(value):
     known = isinstance(value, Loop | control.LTI | Measured) or labels.is_labelled(value)
     try:
         return known or np.ndim(value) == 3
-    except (TypeError, ValueError):  # rows of different lengths are found where they are read
+    except (TypeError, ValueError):  # rows of unequal lengths are refused later, when they are read
         return False
 
 
 def _period(*systems):
-    """The sampling period that Q, or else a plant, knows."""
+    """The sampling period of Q, or else of the first plant that has one."""
     for system in systems:
         system = getattr(system, "loop", system)  # of a measured response
         period = getattr(system, "Ts", getattr(system, "dt", None))
@@ -204,9 +206,11 @@ def _period(*systems):
 
 
 def frequencies(plants, Ts, Q=None) -> np.ndarray:
-    """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
+    """Choose the design frequencies, rad/s.
 
-    Of a measured plant the grid begins where it is resolved; without Q, as for the lowest cut-off.
+    If a plant is a table of python-control, its own frequencies are used. For models the grid is
+    logarithmic and ends at the Nyquist frequency. With a measured plant, the grid begins where the
+    plant is resolved. Without Q, the grid begins as for the lowest cut-off.
     """
     sampled = [plant for plant in plants if not isinstance(plant, Loop | control.LTI)]
     for plant in plants:
@@ -226,9 +230,9 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
 
 
 def _first_of(measured, Q):
-    """The frequency from which on a measured response is asked.
+    """The lowest frequency at which a measured response is used.
 
-    That is where it is resolved, unless Q has its cut-off below.
+    The response is resolved from there on, unless the cut-off of Q is lower.
     """
     omega = measured.omega
     known = omega[getattr(measured, "known", omega > 0)][0]
@@ -238,7 +242,7 @@ def _first_of(measured, Q):
 
 
 def _responses(plants, omega, Ts):
-    """Each plant as a model, or None, and their responses on omega, (plants, n, p, m)."""
+    """The plants as models, None for samples, and their responses on omega, (plants, n, p, m)."""
     models, responses, shape = [], [], (len(omega), "outputs", "inputs")
     for name, plant in plants.items():
         if isinstance(plant, Measured):
@@ -253,7 +257,7 @@ def _responses(plants, omega, Ts):
 
 
 def _names(signals, p, m):
-    """Names of outputs and learned inputs, or else their numbers."""
+    """Names of outputs and of learned inputs, or their numbers if they have no names."""
     labels = signals.labels or [*range(p), *range(m)]
     return labels[:p], labels[p:]
 
@@ -273,7 +277,7 @@ def _in_units(scale, models, responses):
 
 
 def _along(response, directions) -> Response:
-    """A response restricted to directions, or extended by those that lead back."""
+    """A response in the given directions: restricted to them, or extended if they lead back."""
     low = response.low
     if low is not None:
         low = Samples(low.omega, directions.of(low.P), low.radius)
@@ -283,14 +287,14 @@ def _along(response, directions) -> Response:
 
 
 def in_all_directions(response: Response) -> Response:
-    """A response with the directions that were left out."""
+    """Return a response with the directions that were left out."""
     if response.directions is None:
         return response
     return replace(_along(response, response.directions.back), directions=None)
 
 
 def in_own_units(response: Response) -> Response:
-    """A response in the plants' own units; its radius covers that in units of `scale`."""
+    """Return a response in the plants' own units; its radius covers the one in scaled units."""
     response = in_all_directions(response)
     back, radius, low = response.scale.inverse, response.radius, response.low
     models, P = _in_units(back, response.models, response.P)
@@ -304,7 +308,7 @@ def in_own_units(response: Response) -> Response:
 
 
 def _refuse_other_units(plant, omega, P, Ts):
-    """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
+    """Refuse omega in Hz or rad/sample: it ends at the Nyquist frequency, where P is real."""
     if isinstance(plant, Measured):
         omega, P = plant.omega, plant.response
     rounding = PRINTED_DIGITS * np.abs(P[-1]).max()

@@ -1,4 +1,4 @@
-"""A frequency response as it was measured: what is known of it, where, and how it is drawn."""
+"""A measured frequency response: its radius, its values at other frequencies, and its plot."""
 
 import control
 import numpy as np
@@ -12,45 +12,46 @@ from ilctools.response.scale import scale_of
 from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99  # in a measured response
-MODEL_ERROR = 0.01  # of the largest gain: a model of samples need not be nearer to them than this,
-MOST_MODEL_ERROR = 0.1  # and one that is further off is none
+MODEL_ERROR = 0.01  # of the largest gain: a model need not be nearer to the samples than this,
+MOST_MODEL_ERROR = 0.1  # and a model that is further away is refused
 ROWS = 200  # of the Hankel matrix, samples
-STATES = 60  # of a model at most: so large an eigenvalue problem takes milliseconds
+STATES = 60  # of a model at most: an eigenvalue problem of this size takes milliseconds
 
 
 class Measured:
-    """A response as known at some frequencies, and the region in which the truth lies.
+    """A response that was measured at some frequencies, and the region in which the truth lies.
 
-    A kind has `response` (n, p, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
-    `findings`, which speak against it; `estimated` is False of a table. It says what the doors here
-    ask by ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and ``_scaled(of_P)``;
-    by ``_samples(confidence)``, if those between which it is splined are not those at `omega`, or
-    else by ``_anywhere(omega, confidence)``.
+    Each subclass has the `response` (n, p, m) at `omega` (n,), rad/s, and the `loop` whose response
+    it is. The `findings` speak against the measurement. For a table, `estimated` is False. Each
+    subclass implements ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and
+    ``_scaled(of_P)``. A subclass whose splines use other samples than those at `omega` also
+    implements ``_samples(confidence)``. A subclass without splines implements
+    ``_anywhere(omega, confidence)`` instead.
     """
 
     findings = ()
-    lines = None  # of an excited record: P at its lines, with noise and distortion
-    estimated = True  # from a record, whose times give omega its unit; it says P at rest
+    lines = None  # for an excited record: P at its lines, with noise and distortion
+    estimated = True  # from a record, whose times fix the unit of omega; P is known at rest
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
-        """Radius of ||Delta||, the largest singular value, that covers the truth.
+        """Return the radius of ||Delta||, the largest singular value, that covers the truth.
 
         Parameters
         ----------
         confidence : float
             Probability, between 0 and 1, that the truth lies within.
         jointly : bool
-            Whether within all radii at once, rather than within each.
+            Whether the probability is for all frequencies at once. Default: for each by itself.
 
         Returns
         -------
         ndarray, shape (n,)
-            At `omega`.
+            The radius at `omega`.
         """
         return self._radius(probability(confidence), arguments.flag("jointly", jointly))
 
     def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Response and radius on other frequencies, for the synthesis.
+        """Return response and radius at other frequencies, for the synthesis.
 
         Parameters
         ----------
@@ -59,13 +60,14 @@ class Measured:
         confidence : float
             Probability that the truth lies within the radius at all frequencies that are known.
         scale : dict or array_like, shape (m,), optional
-            Units of the channels, of both response and radius; see :func:`ilctools.synthesise`.
+            Units of the channels, for both response and radius, as for
+            :func:`ilctools.synthesise`.
 
         Returns
         -------
         response : ndarray, shape (n, p, m), complex
         radius : ndarray, shape (n,)
-            What is assumed between and beyond the frequencies measured, :meth:`basis` says.
+            :meth:`basis` states what is assumed between and beyond the measured frequencies.
         """
         omega, own = np.abs(arguments.row("omega", omega)), self
         if scale is not None:
@@ -77,14 +79,14 @@ class Measured:
         return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
 
     def _anywhere(self, omega, confidence):
-        """As :mod:`.samples` says; above the last line all that is not larger than there."""
+        """By :mod:`.samples`; above the last line, P may be anything not larger than there."""
         samples = self._samples(confidence)
         P, radius = samples.at(omega)
         above = samples.outside(omega) & (omega > samples.omega[-1])
         return P, radius + np.where(above, 2 * largest_singular_values(P), 0)
 
     def _between(self, omega, confidence):
-        """What is assumed there."""
+        """What is assumed between and beyond the lines, at omega."""
         yield Assumed("splines miss P by no more than they miss lines that are left out")
         samples = self._samples(confidence)
         outside, below = samples.outside(omega), omega < samples.omega[0]
@@ -95,49 +97,53 @@ class Measured:
             yield Assumed(f"above, {share}, P is not larger than at the last line")
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
+        """Say what is known, and what :meth:`on` assumes in addition on `omega`.
+
+        The findings come last.
+        """
         return tuple(
             map(str, self.statements(arguments.row("omega", omega), probability(confidence)))
         )
 
     def statements(self, omega, confidence) -> tuple[str | Assumed, ...]:
-        """Those of :meth:`basis`, of which it can be asked whether they are assumed."""
+        """Return the statements of :meth:`basis`; assumptions are of the type `Assumed`."""
         return (*self._basis(omega, confidence), *self.findings)
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
-        """Of inputs and outputs."""
+        """The names of inputs and of outputs."""
         if self.loop is None:
             p, m = self.response.shape[1:]
             return [f"w{i + 1}" for i in range(m)], [f"y{i + 1}" for i in range(p)]
         return self.loop.learned, self.loop.outputs
 
     def frd(self) -> control.FrequencyResponseData:
-        """The response at `omega`, with names and sampling period, for python-control."""
+        """Return the response at `omega`, with names and sampling period, for python-control."""
         (inputs, outputs), dt = self.names, True if self.loop is None else self.loop.Ts
         P = np.moveaxis(self.response, 0, -1)
         return control.frd(P, self.omega, dt, inputs=inputs, outputs=outputs)
 
     def model(self) -> control.StateSpace:
-        """A stable model in discrete time near the response, with its names, and few states.
+        """Fit a stable model in discrete time to the response, with its names and few states.
 
-        By the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference (1978)
-        705-714), which follows from P at all frequencies as :meth:`on` has it; then by the least
-        squares of B and D at the lines. It has the fewest states with which it is within the radius
-        at all lines, or within a hundredth of the largest gain.
+        The method is the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
+        (1978) 705-714). The impulse response follows from P at all frequencies, as :meth:`on`
+        returns them. B and D are then fitted to the lines by least squares. The model has the
+        fewest states with which it lies, at all lines, within the larger of two distances. One
+        distance is the radius, the other a hundredth of the largest gain.
 
         Returns
         -------
         control.StateSpace
-            For ClosedLoop, trials, :class:`ilctools.NormOptimal`, and limits of outputs, which add
-            its distance to the radius.
+            For ClosedLoop, for trials and for :class:`ilctools.NormOptimal`. Limits of outputs use
+            the model, too, and add its distance from the response to the radius.
 
         Raises
         ------
         ValueError
-            If a table says no sampling period.
+            If a table has no sampling period.
         LogError
-            If the best model is further off than a tenth of the largest gain.
+            If the error of the best model exceeds a tenth of the largest gain.
         """
         if self.loop is None:
             raise ValueError(
@@ -167,11 +173,11 @@ class Measured:
         return best
 
     def plot(self) -> Figure:
-        """Draw gain and phase of each entry of P, a column each, and the joint radius of 99 %.
+        """Draw gain and phase of each entry of P in its own column, with the joint radius of 99 %.
 
-        A radius of more than nine tenths of the gain is drawn down to a tenth of it: there P is
-        hardly identified. Of an excited rig also the standard deviations of P by noise and by what
-        is not linear.
+        Where the radius exceeds nine tenths of the gain, P is hardly identified. The radius is then
+        drawn down to a tenth of the gain. For an excited rig, the plot also shows the standard
+        deviations of P that come from noise and from what is not linear.
 
         Returns
         -------
@@ -207,7 +213,7 @@ class Measured:
 
 
 def _nearest_with(A, C, measured, near) -> control.StateSpace:
-    """The model with these A and C whose B and D fit the lines best, each in units of `near`."""
+    """The model with these A and C whose B and D fit the lines best, in units of `near`."""
     Ts, P = measured.loop.Ts, measured.response
     z, n = np.exp(1j * measured.omega * Ts), len(A)
     states = np.linalg.solve((z[:, None, None] * np.eye(n) - A).swapaxes(1, 2), C.T[None])
@@ -220,7 +226,7 @@ def _nearest_with(A, C, measured, near) -> control.StateSpace:
 
 
 def radius_of(uncertainty, P) -> np.ndarray:
-    """The radius at each frequency of P, (n, p, m); one number is in units of sigma_max(P)."""
+    """Return the radius at each frequency of P (n, p, m); a number counts times sigma_max(P)."""
     if np.ndim(uncertainty) == 0:
         what = "a radius at each frequency, or one number below 1, relative to sigma_max(P)"
         uncertainty = arguments.number("uncertainty", uncertainty, what, high=1, least=0)
@@ -232,7 +238,7 @@ def radius_of(uncertainty, P) -> np.ndarray:
 
 
 def with_phase(name: str, P) -> np.ndarray:
-    """A table P, (n, p, m), refused if it is real and not constant, as no causal plant is."""
+    """Return a table P (n, p, m); refuse a P that is real and not constant: no causal plant is."""
     if not P.imag.any() and np.ptp(P.real, axis=0).any():
         raise ValueError(
             f"{name} is real at each frequency, but not constant, as no plant is: a gain without "
@@ -242,5 +248,5 @@ def with_phase(name: str, P) -> np.ndarray:
 
 
 def probability(confidence) -> float:
-    """A confidence, that of a region."""
+    """Check the confidence of a region, which is between 0 and 1."""
     return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)

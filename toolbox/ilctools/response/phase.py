@@ -1,9 +1,10 @@
-"""The phase in which the poles of a response are equally dense, and grids that are even in it.
+"""The phase of poles on the unit circle, and frequency grids with equal steps of this phase.
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt
 
-of poles a_j inside the unit circle says how fast a response can bend: :mod:`.evidence.peak` has the
-theorem. One pole contributes the share q of its turn, from -pi to pi, up to
+The poles a_j lie inside the unit circle. The phase phi limits how fast a response can bend, by the
+theorem in :mod:`.evidence.peak`. The phase of a single pole, q, runs from -pi to pi in one turn. The
+pole reaches q at the angle
 
     theta = arg a + 2 arctan((1 - |a|) / (1 + |a|) tan(q / 2)).
 """
@@ -15,7 +16,7 @@ TANGENTS = np.append(0, np.outer([-1, 1], np.geomspace(0.05, 1e8, 50)))
 
 
 def phase(poles, theta):
-    """Phase phi of the all-pass with these poles, shape of theta, (k,)."""
+    """Return the phase phi of the all-pass with these poles, at angles theta, (k,)."""
     others = poles[poles != 0]  # a pole at zero, as of each tap, adds theta alone
     r, angle = np.abs(others)[:, None], np.angle(others)[:, None]
     shift = theta - angle
@@ -25,9 +26,10 @@ def phase(poles, theta):
 
 
 def phase_grid(systems, step, most=np.inf) -> np.ndarray:
-    """Angles from 0 to pi, with steps of some `step` in the phase of each set of poles.
+    """Return angles from 0 to pi, with steps of about `step` in the phase of each set of poles.
 
-    Each pole of a real system turns by pi, so that of `most` angles the steps are larger.
+    The phase of each pole of a real system turns by pi. If steps of `step` would need more than
+    `most` angles, the steps are larger.
     """
     step = max(step, np.pi * max(map(len, systems)) / most)
     poles = np.unique(np.concatenate(systems))
@@ -43,6 +45,6 @@ def phase_grid(systems, step, most=np.inf) -> np.ndarray:
 
 
 def subdivided(omega, parts) -> np.ndarray:
-    """Some frequencies for each of a row, and its last one."""
+    """Divide each step of a row of frequencies into `parts` equal steps."""
     steps = np.linspace(0, 1, parts, endpoint=False)
     return np.append((omega[:-1, None] + np.outer(np.diff(omega), steps)).ravel(), omega[-1])

@@ -1,8 +1,8 @@
-"""What is known of P: frequency responses of plants, between their frequencies and beyond.
+"""What is known of P: frequency responses of plants, at, between and beyond their frequencies.
 
-Models are known anywhere, samples between the first and the last as :mod:`.samples` says, and so
-below the first, but for a measured response that itself says what P is there. Above the last sample
-P is zero with a radius, its size there.
+Models are known at all frequencies. Between the first and the last sample, and below the first
+one, :mod:`.samples` gives P. A measured response has its own P below the first sample. Above the
+last sample, P is zero with a radius, which is the size of P at the last sample.
 """
 
 from dataclasses import dataclass, replace
@@ -18,57 +18,57 @@ from ilctools.response.scale import Scale
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
-SAME_ANGLE = 1e-9  # of an angle: two that are nearer are the same frequency
+SAME_ANGLE = 1e-9  # difference of two angles, below which they are the same frequency
 POINTS_BELOW = (
-    17  # frequencies from zero to the first one, at which a measured P is asked what it is there
+    17  # frequencies from zero to the first one, at which a measured P is evaluated
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Frequency responses of one plant or several. Made by :func:`.response_of`."""
+    """Frequency responses of one plant or of several. :func:`.response_of` makes it."""
 
     omega: np.ndarray  # (n,): rad/s
     P: np.ndarray  # (plants, n, p, m), complex, in units of `scale`; the nominal plant first
     Ts: float  # sampling period, s
-    models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
+    models: tuple[control.StateSpace | None, ...]  # of the plants; None for samples
     radius: np.ndarray | None  # (n,): P may be P + Delta, ||Delta|| <= radius; None: it is P
     scale: Scale
     signals: Signals  # of the nominal plant
     assumptions: tuple[str | Assumed, ...] = ()  # what a measured P and its radius rest on
     added: bool = True  # whether v is added to references, one for each output
-    # else what the loop makes of references, in units of `scale.y`, if it says so
+    # else the response of the loop to references, in units of `scale.y`, if it is known
     of_reference: control.StateSpace | None = None
     directions: Directions | None = (
-        None  # those that P passes, to which P is restricted, if not all
+        None  # the directions to which P is restricted; None: P passes all
     )
-    one_at_first: bool = False  # whether its loop makes it the identity at the first frequency
-    low: Samples | None = None  # from zero to the first frequency, of a measured P that says it
+    one_at_first: bool = False  # whether the loop makes P the identity at the first frequency
+    low: Samples | None = None  # from zero to the first frequency, if a measured P knows it
 
     @property
     def sampled(self) -> bool:
-        """Whether some plant is known by samples only."""
+        """Whether at least one plant is known by samples only."""
         return None in self.models
 
     @property
     def names(self) -> tuple[list, list]:
-        """Of outputs and of learned inputs; numbers where they have none."""
+        """The names of outputs and of learned inputs, or their numbers if they have no names."""
         p, m = map(len, self.scale)
         labels = self.signals.labels or [*range(p), *range(m)]
         return labels[:p], labels[p:]
 
     @property
     def angles(self) -> np.ndarray:
-        """omega Ts, (n,)."""
+        """The angles omega Ts, (n,), rad."""
         return self.omega * self.Ts
 
     @property
     def radii(self) -> np.ndarray:
-        """The radius at each frequency, zero where P is known, (n,)."""
+        """The radius at each frequency, (n,); zeros if P has no radius."""
         return np.zeros(len(self.omega)) if self.radius is None else self.radius
 
     def at(self, chosen) -> "Response":
-        """At some of the frequencies, (n,) bool."""
+        """Return the response at some of its frequencies, chosen by (n,) bool."""
         radius = self.radii[chosen]
         return replace(
             self,
@@ -78,9 +78,9 @@ class Response:
         )
 
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
-        """P (k, p, m) of a plant, and the radius (k,), at any frequencies.
+        """Return P (k, p, m) of a plant, and its radius (k,), at any frequencies (k,), rad/s.
 
-        A radius of a model ends with the frequencies at which it is given.
+        The radius of a model is zero outside the frequencies at which it is given.
         """
         omega, model, samples = np.asarray(omega), self.models[plant], self.samples[plant]
         if model is None:
@@ -95,12 +95,12 @@ class Response:
         return P, radius
 
     def unsampled(self, plant: int, omega) -> np.ndarray:
-        """Which frequencies are below the first sample of a plant, (k,), bool."""
+        """Return which frequencies are below the first sample of a plant, (k,), bool."""
         return (self.models[plant] is None) & (np.asarray(omega) < self.omega[0])
 
     @property
     def below_in_words(self) -> Assumed | None:
-        """What is assumed below the first sample; None if P is known there."""
+        """What is assumed below the first sample, in words; None if P is known there."""
         if not self.sampled or self.omega[0] <= 0:
             return None
         sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
@@ -116,7 +116,7 @@ class Response:
 
     @cached_property
     def samples(self) -> list[Samples]:
-        """Of each plant."""
+        """The samples of each plant."""
         return [Samples(self.omega, P, self.radii, self.low) for P in self.P]
 
     @property

@@ -24,22 +24,22 @@ class Scale(NamedTuple):
 
     @property
     def of_P(self) -> np.ndarray:
-        """P in these units, as a multiple of P in its own, (p, m)."""
+        """The factors that turn P in its own units into P in these units, (p, m)."""
         return self.v / self.y[:, None]
 
     @property
     def is_one(self) -> bool:
-        """Whether it changes nothing."""
+        """Whether all scales are one, so that the scale changes nothing."""
         return bool(np.all(self.y == 1) and np.all(self.v == 1))
 
     @property
     def inverse(self) -> "Scale":
-        """What undoes it."""
+        """The scale that undoes this one."""
         return Scale(1 / self.y, 1 / self.v)
 
 
 def scale_of(scale, outputs, inputs) -> Scale:
-    """Check a scale, by name or by channel, of outputs and learned inputs; one is the default."""
+    """Check a scale of outputs and learned inputs, by name or by channel; the default is one."""
     p, m = len(outputs), len(inputs)
     if isinstance(scale, Scale):
         return scale
@@ -58,7 +58,7 @@ def scale_of(scale, outputs, inputs) -> Scale:
 
 
 def _by_name(scale, outputs, inputs):
-    """Of outputs and inputs by name; in a square plant an input takes that of its output."""
+    """A scale by names; an input of a square plant defaults to the scale of its output."""
     arguments.by_name("scale", scale, [*outputs, *inputs])
     sizes = {
         name: arguments.number(f"scale[{name!r}]", size, "a positive number")
@@ -71,7 +71,7 @@ def _by_name(scale, outputs, inputs):
 
 
 def _positive(units):
-    """Units, which must be positive numbers."""
+    """Check units, which must be positive numbers."""
     arguments.representable("scale", units, "in other units")
     if units.min() <= 0:
         raise ValueError(f"scale = {units.tolist()} must be positive numbers")

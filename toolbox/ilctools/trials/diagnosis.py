@@ -1,25 +1,28 @@
 """What trials say against convergence: *the error grows*, *the plant is not the model*, *dead*.
 
-Without its ends a trial k obeys, with P of the loop and e_free the error without learning,
+Let P be the response of the loop, and e_free the error without learning. If the ends of a trial
+are neglected, trial k obeys
 
-    e_{k+1} = M e_k + (1 - Q) e_free,    M = Q (I - P L),                                      (1)
+    e_{k+1} = M e_k + (1 - Q) e_free,    M = Q (I - P L).                                      (1)
 
-so that in each band of frequencies ||e_{k+1}|| <= sigma_max(M) ||e_k|| + ||(1 - Q) e_free||. With
-its ends, and with the v that was recorded, the model promises the error
+Therefore, each band of frequencies obeys
+||e_{k+1}|| <= sigma_max(M) ||e_k|| + ||(1 - Q) e_free||. For a trial with its ends, and with the
+recorded v, the model predicts the error
 
     e_{k+1} = e_free - P v_{k+1},    e_free = e_k + P v_k.                                     (2)
 
-The plant is not the model where errors exceed both, by more than noise explains; the error grows
-where its RMS rises by more than noise explains. How large noise is follows from the trials
-themselves: it is what does not repeat, however coloured, and what v does not explain.
+The plant is not the model where errors exceed both (1) and (2) by more than noise explains. The
+error grows where its RMS rises by more than noise explains. The size of the noise is estimated from
+the trials themselves. Noise is whatever does not repeat and v does not explain; any spectrum is
+allowed.
 
-P is that of the design with its radius, or else the loop's. A loop without P says nothing about how
-exact the P of its law is. Then (2) is taken for all plants (I + Delta) P with a relative error
-||Delta|| of PLANT_ERROR at most, which change the prediction by that fraction of P (v_{k+1} - v_k).
-A plant that is wrong by a quarter learns more slowly, and is no news. A signal in another unit,
-whose Delta is near -I, is news.
+P is taken from the design, with its radius, or else from the loop. If the loop has no P, nothing is
+known about the error of the P in the law. Then (2) is taken for all plants (I + Delta) P with a
+relative error ||Delta|| of at most PLANT_ERROR. These plants change the prediction by that fraction
+of P (v_{k+1} - v_k). A plant that is wrong by a quarter learns more slowly and gives no warning. A
+signal in another unit, whose Delta is near -I, gives a warning.
 
-An output is dead if it stands still in a trial in which P moves it.
+An output is dead if it does not move in a trial in which P predicts a movement.
 """
 
 from collections.abc import Callable
@@ -62,26 +65,26 @@ GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
 def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) -> dict[str, str]:
-    """What the signals of trials say against the convergence of the law that made them.
+    """Find evidence in the signals of trials against the convergence of the law that made them.
 
     Parameters
     ----------
     trials : xarray.Dataset
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
-        If its design was for more than one model, or else its loop has a model P, the trials are
-        compared with that: they must contradict each of the plants. Else they are compared with the
-        model of its design, or that of its L, see :func:`known_plants`.
+        If the design of the law was for more than one model, the trials are compared with these
+        plants, and must contradict each of them. Else they are compared with the P of the loop, the
+        model of the design, or the model in L. See :func:`known_plants`.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
-        Whether the trials were simulated on the model itself: then it is not checked.
+        Whether the trials were simulated on the model itself. The model is then not checked.
 
     Returns
     -------
     dict
-        The first warning of each kind: "growth", "dead" and "model", which "dead" replaces; with
-        limits of outputs "beyond" and "still".
+        The first warning of each kind: "growth", "dead" and "model". A warning "dead" replaces
+        "model". With limits of outputs there are also the kinds "beyond" and "still".
     """
     at_limits = {"beyond": limits_not_kept(trials, law, first), "still": stands_still(trials, law)}
     at_limits = {kind: text for kind, text in at_limits.items() if text}
@@ -102,7 +105,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
 
 
 def _first_finding(test, trials, first):
-    """What a test first finds of trials in succession, in the outputs of one unit, as numbers."""
+    """Return the first finding of a test in successive trials, by outputs of one unit, as numbers."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
     for channels in groups:
         alike = trials.isel(channel=channels)
@@ -114,7 +117,7 @@ def _first_finding(test, trials, first):
 
 
 def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
-    """Trials with what (23) takes from v, (1 - Q) v, and with what it adds, Q L e."""
+    """Add to trials what (23) removes from v, (1 - Q) v, and what (23) adds to v, Q L e."""
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
     axes = trials.v.dims
@@ -122,10 +125,11 @@ def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
 
 
 def error_grows(trials: xr.Dataset) -> dict:
-    """Null hypothesis: errors of trials with one reference are noise of one variance.
+    """Test whether the error grows from trial to trial, by more than noise explains.
 
-    It is tested where the error rose several times in succession up to the last trial, or to a
-    multiple at once.
+    The null hypothesis is that errors of trials with one reference are noise of one variance. The
+    test is made if the error rose several times in succession up to the last trial. It is also made
+    if the error rose to a multiple at once.
     """
     largest = np.abs(trials.reference.values).max()
     trials = trials.isel(trial=slice(first_judged(trials), None))
@@ -146,9 +150,9 @@ def error_grows(trials: xr.Dataset) -> dict:
 
 
 def first_judged(trials: xr.Dataset) -> int:
-    """The first trial with a v that Q does not forget, as it forgets that of another law or task.
+    """Find the first trial whose v this law made; Q removes the v of another law or task.
 
-    With e = -P v, sigma_max(M) >= 1 is |Q L e| >= |(1 - Q) v|.
+    If e = -P v, the condition sigma_max(M) >= 1 means |Q L e| >= |(1 - Q) v|.
     """
     signals = (trials[name].values for name in ("forgotten", "learned"))
     taken, added = (np.sum(x**2, axis=(1, 2)) for x in signals)
@@ -156,11 +160,11 @@ def first_judged(trials: xr.Dataset) -> int:
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
-    """Probability that so many errors of equal variance are in increasing order, and rise so far.
+    """Probability that errors of equal variance are in increasing order and reach this ratio.
 
-    Two mean squares with so many degrees of freedom have an F-distributed ratio; the largest and
-    the smallest are one of n (n - 1) ordered pairs (Bonferroni). Whatever their sizes are, n errors
-    are in increasing order with probability 1 / n!.
+    The ratio of two mean squares with `freedom` degrees of freedom has an F distribution. The
+    largest and the smallest are one of n (n - 1) ordered pairs (Bonferroni). Whatever their sizes
+    are, n errors are in increasing order with probability 1 / n!.
     """
     pairs = trials * (trials - 1)
     exceeds = pairs * fdtrc(freedom, freedom, min(ratio, 1e100) ** 2)
@@ -168,10 +172,11 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 
 
 def known_plants(law: Law) -> list[Callable]:
-    """P and its radius over omega, of each plant that the trials are compared with.
+    """Return P and its radius over omega, for each plant that the trials are compared with.
 
-    These are the plants of the design, if it knew more than one exact model; else the loop's P;
-    else the model of the design; else, of a law that was read from a file, the model in its L.
+    The first of these that is known is taken: the plants of the design, if it had more than one
+    exact model; the P of the loop; the model of the design; the model in L. The last case is that
+    of a law that was read from a file.
     """
     region, model = _region(law), getattr(law.loop, "P_v", None)
     if region is None and model is None:
@@ -186,15 +191,15 @@ def known_plants(law: Law) -> list[Callable]:
 
 
 def _region(law):
-    """The plants of the design of a law, which a file names with limits of outputs alone."""
+    """The plants of the design of a law; a file has them only if it has limits of outputs."""
     return law.region or (law.output_limits and law.output_limits.region)
 
 
 def model_in(L) -> control.StateSpace | None:
     """The model of norm-optimal learning or of the base B of L, in the outputs' own units.
 
-    Of several plants in B it is their mean, E^T P in the notation of :mod:`ilctools.base`. There is
-    none in a diagonal filter of several channels, which does not know how they are coupled.
+    If B has several plants, the model is their mean, E^T P in the notation of :mod:`ilctools.base`.
+    A diagonal filter of several channels has no model, because the coupling is not known.
     """
     B = getattr(L, "B", L)
     P = getattr(B, "P", None)
@@ -209,16 +214,18 @@ def model_in(L) -> control.StateSpace | None:
 
 
 def plant_error(law: Law) -> float:
-    """Relative error of P that is no news: none if the loop's P or a radius says what P is."""
+    """Relative error of P that gives no warning: zero if the loop has a P or P has a radius."""
     model, radius = getattr(law.loop, "P_v", None), getattr(_region(law), "radius", None)
     return PLANT_ERROR if model is None and radius is None else 0.0
 
 
 def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
-    """Trials with P v from rest, by which v lowers the error, and what the radius may add to it.
+    """Add to trials the signals that the model P predicts from v.
 
-    And with `kept`, what Q never learns of the error without v, and with `moves`, what P makes of
-    w = r + v from rest where w begins; of v alone where v is not added to references.
+    The signal `effect` is P v from rest, by which v lowers the error. The signal `spread` is what
+    the radius may add to P v. The signal `kept` is the part of the error without v that Q never
+    learns. The signal `moves` is the response of P to w = r + v, from rest at the first value of w.
+    If v is not added to references, `moves` is the response to v alone.
     """
     parts = [*from_rest_to_rest(trials)]
     v = np.array([applied_v(law, part) for part in parts])
@@ -244,10 +251,11 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
 
 
 def dead_outputs(trials: xr.Dataset) -> dict:
-    """Outputs that stand still in the last trial, in which P moves them.
+    """Find outputs that do not move in the last trial, although P predicts a movement.
 
-    A movement is the highest value less the lowest one. It counts if it is more than STILL of the
-    reference's: a coarse sensor that shows no less movement within its resolution is not dead.
+    A movement is the highest value less the lowest one. The predicted movement counts if it is more
+    than the fraction STILL of the reference's movement. A coarse sensor is therefore not taken for
+    dead if a small movement stays within its resolution.
     """
     last = trials.isel(trial=-1)
     y, wanted, moves = (np.ptp(last[name].values, axis=0) for name in ("y", "reference", "moves"))
@@ -259,7 +267,7 @@ def dead_outputs(trials: xr.Dataset) -> dict:
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
-    """sigma_max(M) on GRID, the largest within the radius of P."""
+    """Compute sigma_max(M) on GRID, the largest value within the radius of P."""
     omega = GRID / law.Ts
     response, radius = P(omega)
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)
@@ -267,11 +275,13 @@ def largest_M(law: Law, P: Callable) -> np.ndarray:
 
 
 def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -> dict:
-    """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
+    """Compare the error of trial k with the error of trial `before`, octave by octave.
 
-    `predicted` follows from (2), ends included, with the error that P may have; `bound` is that, or
-    sigma_max(M) and what Q leaves, by (1), if it is more; `measured` is the error of trial k.
-    `excess` is the RMS by which it exceeds the bound.
+    Errors are relative to the error of trial `before`. Octaves end at `frequency`, in rad/s. The
+    value `predicted` follows from (2), with the ends of the trial and with the error that P may
+    have. The value `bound` is the larger of `predicted` and the bound by (1), which has sigma_max(M)
+    and what Q leaves. The value `measured` is the error of trial k. The value `excess` is the RMS by
+    which the measured error exceeds the bound.
     """
     e, kept, first = trials.e.values, trials.kept.values, octaves(trials.e.shape[1])
     frequency = first * 2 * np.pi / e.shape[1]  # times Ts
@@ -294,12 +304,13 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
 
 
 def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
-    """F test, octave by octave, of errors against what an earlier one promises.
+    """Test errors, octave by octave (F test), against the prediction from an earlier trial.
 
-    The last trial is compared with the one before and with the best so far, and the second one with
-    the first, from which most is to be learned. Null hypothesis: the trials differ from the model's
-    prediction by noise alone, independent from trial to trial, by less than the promise allows, or
-    by a disturbance that grows from trial to trial, by as much in each.
+    The last trial is compared with the one before and with the best trial so far. The second trial
+    is compared with the first, from which most is to be learned. The null hypothesis is that trials
+    differ from the model's prediction for three reasons only. The first reason is noise that is
+    independent from trial to trial. The second reason is a model error that the bound allows. The
+    third reason is a disturbance that grows by the same amount in each trial.
     """
     e, size, last = trials.e.values, rms_of(trials.e).values, len(trials.e) - 1
     if last < 2:  # noise is known from two changes on
@@ -325,10 +336,11 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
 
 
 def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a gain and a phase for each octave and output cannot explain of changes between trials.
+    """Fit changes between trials by a gain and a phase for each octave and output.
 
-    Signals are (trial, time, channel). Returns the real parts (octave, channel), the mean square of
-    the remainder in a trial, by octaves, and its degrees of freedom.
+    Signals have the shape (trial, time, channel). Returns the real parts of the fitted gains, shape
+    (octave, channel). Returns also the mean square of the remainder in a trial, by octaves, and the
+    degrees of freedom of the remainder.
     """
     first, Y, X = octaves(changes.shape[1]), harmonics(changes), harmonics(expected)
     XY, XX = (np.add.reduceat(np.sum(X.conj() * Z, axis=0), first) for Z in (Y, X))
@@ -339,17 +351,18 @@ def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def degrees_of_freedom(power, first=(0,)) -> np.ndarray:
-    """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
+    """Degrees of freedom of a mean square in each octave, from its spectrum (harmonic, channel)."""
     total, squares = (np.add.reduceat(values.sum(axis=1), first) for values in (power, power**2))
     return np.maximum(2, 2 * total**2 / np.maximum(squares, SMALLEST_DIVISOR))
 
 
 def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
-    """Probability that noise exceeds the prediction so far, in each octave, in any of them.
+    """Probability, for each octave, that noise alone exceeds the prediction as far as this.
 
-    The square of the excess has the n degrees of freedom of one trial in this octave; the variance
-    from so many changes between trials has that many times n, but for the 2 of a gain and a phase.
-    Bonferroni corrects for the number of octaves.
+    The square of the excess has the n degrees of freedom of one trial in this octave. The variance
+    is estimated from `trials` changes between trials. The variance has `trials` times n degrees of
+    freedom, less 2 for a gain and a phase. Bonferroni corrects for the number of octaves, because
+    any of them may exceed.
     """
     others = trials * freedom - 2
     F = excess**2 / variance * others / (trials * freedom)

@@ -97,7 +97,7 @@ def test_an_integrator_is_said_to_rise_and_a_lag_is_not():
 
 
 def test_a_slow_lag_that_is_known_at_rest_is_not_said_to_rise():
-    """Its time constant is two thirds of the record: it rises, but under little noise P(0) is sure."""
+    """P of a lag of two thirds of the record rises, but under little noise P(0) is sure."""
     rng, N = np.random.default_rng(0), 600
     u = held(rng, 10, N)
     y = lfilter([0, 0.005], [1, -np.exp(-1 / 400)], u)
