@@ -188,14 +188,19 @@ def _of_group(fit, g, group):
     y = _through(g, group.u).sum(axis=2, keepdims=True)
     own = np.concatenate([answer, np.gradient(answer, axis=1)], axis=2)  # other gain or delay
     own *= np.linspace(-1, 1, N)[:, None] if K == 1 else 1.0
-    # A curve or a dead zone may be before the plant, behind it, or fed back as by a spring. For the
-    # last one, y as measured one sample before is used: the noise at t is independent of it.
-    earlier = np.pad(group.y, [(0, 0), (1, 0), (0, 0)])[:, :-1]
-    before = (_through(of_P, z**k) for z in (u, np.repeat(earlier, u.shape[2], 2)) for k in (2, 3))
-    powers = np.concatenate([*before, y**2, y**3], axis=2)
-    columns = own, _through(of_P, _last_move(u)), powers
+    columns = own, _through(of_P, _last_move(u)), _powers(of_P, u, y, group.y)
     own, *shared = (_through(fit.denominator[:, None], z - z[:, :1]) for z in columns)  # A Z
     return _OfGroup(own.swapaxes(1, 2), contrasts(np.concatenate(shared, axis=2)))
+
+
+def _powers(of_P, u, y, measured):
+    """Squares and cubes: a curve or a dead zone before the plant, behind it, or fed back.
+
+    A spring feeds back what was measured one sample before, of which the noise is independent.
+    """
+    earlier = np.pad(measured, [(0, 0), (1, 0), (0, 0)])[:, :-1]
+    before = (_through(of_P, z**k) for z in (u, np.repeat(earlier, u.shape[2], 2)) for k in (2, 3))
+    return np.concatenate([*before, y**2, y**3], axis=2)
 
 
 def _through(g, z):
