@@ -1,27 +1,28 @@
 """How far an error of the model may move an output within a trial.
 
-Let Delta be a stable, linear and causal system, ||Delta(omega)|| <= r(omega), and d a signal of N
-samples, zero before and after. Then, at each sample t of the trial and in each output,
+Let Delta be a stable, linear and causal system with ||Delta(omega)|| <= r(omega). Let d be a signal
+of N samples, zero before and after. Then, at each sample t of the trial and in each output,
 
     |(Delta d)(t)| <= rho(d) = (1 / M) sum_j rt_j ||D_j||,                                      (1)
 
-with D the transform of d, padded to M samples. The weights are
+where D is the transform of d, padded to M samples. The weights are
 
     rt = transform of c_k tau_k,    tau = (m tri_m + n tri_n) / (m - n),                        (2)
     tri_q(k) = max(0, 1 - |k| / q),    h = (N - 1) // 2,    n = N - 1 - h,    m = M - N - h,
 
-with c_k the Fourier coefficients of r over omega Ts. Within a trial the impulse response of Delta
-acts at lags from zero to N - 1 only. It may therefore be multiplied by a trapezoid that is one at
-these lags. The trapezoid is (m tri_m - n tri_n) / (m - n) about h. It is zero at all lags that
-would come round in a circular convolution of M samples. Its transform is a difference of two Fejer
-kernels, which are positive. (2) is their sum, see docs/proofs.md. This costs a factor of
-(m + n) / (m - n), which is 1.033 for M = 32 N.
+where c_k are the Fourier coefficients of r over omega Ts. Within a trial the impulse response of
+Delta acts at lags from zero to N - 1 only. The impulse response may therefore be multiplied by a
+trapezoid that is one at these lags. The trapezoid is (m tri_m - n tri_n) / (m - n), centred at h.
+The trapezoid is zero at all lags that would wrap around in a circular convolution of M samples. The
+transform of the trapezoid is a difference of two Fejer kernels, which are positive. Equation (2)
+has their sum, see docs/proofs.md. The sum costs a factor of (m + n) / (m - n), which is 1.033 for
+M = 32 N.
 
-Delta is causal, so what d is after t does not count at t:
+Delta is causal, and therefore the values of d after t do not count at t:
 
     rho(t) = least rho(d up to b), b at the end of the block of t, or of a later one,           (3)
 
-and zero before d begins.
+and rho(t) is zero before d begins.
 """
 
 from dataclasses import dataclass
@@ -30,16 +31,16 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-PADDING = 32  # M / N: (1) is 1.033 times the integral of r ||D||; with 8 it would be 1.17 times
-BLOCKS = 16  # of a trial, in (3): with 64 rho(t) is 2 to 3 % smaller, in four times the time
+PADDING = 32  # M / N: (1) is 1.033 times the integral of r ||D||; with 8, (1) is 1.17 times it
+BLOCKS = 16  # blocks of a trial in (3); with 64, rho(t) is 2 to 3 % smaller, in four times the time
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorBound:
-    """The bound of all errors within a radius, on trials of some length."""
+    """The bound (1) for all model errors within a radius, on trials of `samples` samples."""
 
     angles: np.ndarray  # omega Ts, (n,), increasing
-    radius: np.ndarray  # (n,), there; on straight lines between them, held below and above
+    radius: np.ndarray  # r at the angles, (n,); linear between them, constant below and above
     samples: int
 
     @cached_property
@@ -49,7 +50,7 @@ class ErrorBound:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """rt_j / M, (M // 2 + 1,), where those that are there twice count twice."""
+        """rt_j / M, (M // 2 + 1,); a weight counts twice if its frequency occurs twice."""
         M, N = self.padded, self.samples
         h = (N - 1) // 2
         n, m = N - 1 - h, M - N - h
@@ -57,7 +58,7 @@ class ErrorBound:
         def tau(k):
             return (np.maximum(0, m - np.abs(k)) + np.maximum(0, n - np.abs(k))) / (m - n)
 
-        # r runs on straight lines between the M points: c_k are those of the points, times sinc^2
+        # r is linear between the M points: its c_k are the points' coefficients, times sinc^2
         c, k = np.fft.irfft(self._above_radius(), M), np.arange(M)
         folded = sum(tau(lag) * np.sinc(lag / M) ** 2 for lag in (k, k - M))
         rt = rfft(c * folded).real  # (2)
@@ -68,7 +69,7 @@ class ErrorBound:
         return twice * rt / M
 
     def _above_radius(self):
-        """r at the M points such that the straight lines between them are nowhere below it."""
+        """Values at the M points whose connecting straight lines are nowhere below r."""
         points = 2 * np.pi * np.arange(self.padded // 2 + 1) / self.padded
         r = np.interp(points, self.angles, self.radius)
         left = np.clip(np.searchsorted(points, self.angles) - 1, 0, len(points) - 2)
@@ -77,12 +78,12 @@ class ErrorBound:
         return r
 
     def of(self, d) -> float:
-        """rho(d), (1), of a signal (time, m)."""
+        """Compute rho(d) by (1) for a signal (time, m)."""
         D = rfft(d, self.padded, axis=0)
         return float(self.weights @ np.sqrt(np.sum(np.abs(D) ** 2, axis=1)))
 
     def over_time(self, d) -> np.ndarray:
-        """rho(t), (3), of a signal (samples, m), at each sample."""
+        """Compute rho(t) by (3) at each sample of a signal (samples, m)."""
         rho, moving = np.zeros(len(d)), np.flatnonzero(d.any(axis=1))
         if not len(moving):
             return rho

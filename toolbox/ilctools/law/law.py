@@ -30,51 +30,52 @@ from ilctools.signals import Signals, check_match
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k); what it is made of is checked.
+    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k); its parts are checked.
 
-    From trial k with the error e_k to the signal v of the next, (23) of the paper; D. A. Bristow,
-    M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems
-    Magazine 26 (2006) 96-114.
+    The law computes the signal v of the next trial from the signal and the error e_k of trial k,
+    (23) of the paper; D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning
+    control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
-    With a learning gain a below one, v goes only that share of the way there,
-    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k): slower, but noise in e is averaged.
+    With a learning gain a below one, v changes only by the share a of this step:
+    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k). Learning is then slower, but noise in e is averaged.
 
     Attributes
     ----------
     Q : ZeroPhaseButterworth
     L : LearningOperator or None
-        None switches learning off: v stays what it is.
+        With None there is no learning, and v does not change.
     rest : int
         Number of samples at the end of every trial in which v is held at zero. The filters look
-        beyond the end, so what they make of the last samples may grow from trial to trial.
+        beyond the end. The values that they compute for the last samples may therefore grow from
+        trial to trial.
     gain : float
         Learning gain a, in (0, 1].
     limits : dict, optional
         Lowest and highest command, by the names of the loop's commands, in their units. The law
         then projects v onto what can be applied. {} stands for no limits at all, also on a rig that
-        has some. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere there
-        are none; the attribute is then :attr:`.LimitsOf.RIG`. Where an actuator is limited in its
-        rate, let the reference rise as slowly.
+        has limits. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere
+        there are none. The attribute is then :attr:`.LimitsOf.RIG`. If an actuator has a rate
+        limit, choose a reference that rises as slowly.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
-        law without one to theirs, and refuse a law for another.
+        law without a loop to their loop. They refuse a law for another loop.
     region : Response, optional
-        The plants of a design and their radius: trials are judged by them. If it is one model
-        alone, they are judged by the loop's P, if the loop has one. :meth:`.Synthesis.law` gives
-        it; neither a file of the law nor a log stores it.
+        The plants of a design and their radius, with which trials are compared. If the region is a
+        single exact model and the loop has a P, trials are compared with the loop's P.
+        :meth:`.Synthesis.law` sets this attribute. Neither a file of the law nor a log stores it.
     labels : Signals, optional
-        Names and units of the plant of a design: a loop with the same in another order is refused.
-        No file stores them, either.
+        Names and units of the plant of a design. A loop with the same signals in another order is
+        refused. Neither a file of the law nor a log stores them.
     output_limits : OutputLimits, optional
-        Limits of outputs, with what is known of the plant. :meth:`.Synthesis.law` makes them; print
-        them for what they promise.
+        Limits of outputs, with what is known of the plant. :meth:`.Synthesis.law` makes them. Print
+        them to see what they guarantee.
 
     See Also
     --------
-    synthesise : its L
-    run_trials : simulated trials
-    record : trials on a rig
-    save_law : to a file
+    synthesise : designs L
+    run_trials : simulates trials
+    record : runs trials on a rig
+    save_law : writes the law to a file
 
     Examples
     --------
@@ -117,7 +118,7 @@ class Law:
         vars(self)["limits"] = stated_limits(self.limits, commands)
 
     def _refuse_outputs(self, commands):
-        """Refuse limits of outputs that do not come from a design, or are for another loop."""
+        """Refuse limits of outputs that are not from a design, or that are for another loop."""
         kept = self.output_limits
         if commands is None:
             return
@@ -142,14 +143,14 @@ class Law:
 
     @property
     def outputs(self) -> list[str] | None:
-        """Names of the outputs whose errors it takes, of a law that is bound to a loop."""
+        """Names of the outputs whose errors the law takes; None if it is not bound to a loop."""
         return getattr(self.loop, "outputs", None)
 
     @property
     def inputs(self) -> list[str] | None:
-        """Names of the channels of v, of a law that is bound to a loop.
+        """Names of the channels of v; None if the law is not bound to a loop.
 
-        Where v is added to references, one for each output, they are those of the outputs.
+        If v is added to references, one for each output, the channels have the outputs' names.
         """
         if self.loop is None:
             return None
@@ -157,23 +158,23 @@ class Law:
 
     @property
     def rows(self) -> int | None:
-        """Number m of channels of v; None if neither L nor a loop says it."""
+        """Number m of channels of v; None if the law has neither an L nor a loop."""
         return self.L.rows if self.L is not None else self.inputs and len(self.inputs)
 
     @property
     def columns(self) -> int | None:
-        """Number p of channels of the error; None if neither L nor a loop says it."""
+        """Number p of channels of the error; None if the law has neither an L nor a loop."""
         return self.L.columns if self.L is not None else self.outputs and len(self.outputs)
 
     @property
     def known_limits(self) -> dict[str, tuple[float, float]]:
-        """The limits that hold before a rig states its own: {} for none."""
+        """The limits that the law itself has, without the limits of a rig; {} for none."""
         return {} if self.limits is LimitsOf.RIG else self.limits
 
     def on_rig(self, limits: dict[str, tuple[float, float]]) -> "Law":
-        """This law on a rig with these limits: they hold where the law does not state its own.
+        """Return this law with the limits of a rig, where the law has no limits of its own.
 
-        A law whose limits are {} has none at all, whatever the rig follows.
+        A law whose limits are {} has no limits at all, whatever the limits of the rig are.
         """
         if self.limits == {}:
             return self
@@ -181,7 +182,7 @@ class Law:
 
     @cached_property
     def actuators(self) -> Actuators | None:
-        """What the limits make of commands; None without limits."""
+        """The actuators with the limits of this law; None without limits."""
         if not self.known_limits:
             return None
         if self.loop is None:
@@ -191,7 +192,7 @@ class Law:
         return Actuators.of(self.known_limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":
-        """This law for a loop; a ValueError if it is for another."""
+        """Return this law, bound to a loop; a ValueError if the law is for another loop."""
         arguments.instance("loop", loop, Loop)
         if self.loop is None:
             return replace(self, loop=loop)
@@ -203,52 +204,54 @@ class Law:
         return self
 
     def first(self, samples: int, v=None) -> np.ndarray:
-        """The signal of the first trial, shape (samples, m): `v`, or zero; zero in the rest."""
+        """Return the signal of the first trial, (samples, m): `v` or zero, and zero in the rest."""
         rest = arguments.whole("rest", self.rest, 0, samples - 1)
         shape = samples, self.rows
         v = np.zeros(shape) if v is None else v
         v = arguments.in_columns("v", v, shape, self._names(v, self.inputs, self.rows))
         v[samples - rest :] = 0
         if self.L is not None:
-            # which one for other trials refuses, before any is run
+            # an L for trials of another length refuses this, before any trial is run
             self.L.apply(np.zeros((samples, self.columns)))
         return v
 
     def next(self, v, e, u=None, applied=None, y=None, *, references=None, past=()) -> np.ndarray:
-        """The signal of the next trial, v_{k+1} of (23).
+        """Compute the signal of the next trial, v_{k+1} of (23).
 
         With limits of commands, let v* be the next v without limits. The law takes the v that
         minimises ||P (v - v*)||^2 + weight ||v - v*||^2 among all v whose commands are within the
         limits. P is the model of the loop, and the applied commands are the starting point. The
-        weight is that of L, or 0.01 for a filter. With a :class:`ilctools.NormOptimal` and a Q near
-        one this is constrained norm-optimal learning, whose predicted error cannot rise. Limits do
-        not count in the rest, where v is zero. For a ClosedLoop without P the commands saturate.
+        weight is taken from L, and is 0.01 for a filter. With a :class:`ilctools.NormOptimal` and a
+        Q near one, this is constrained norm-optimal learning, whose predicted error cannot rise.
+        Limits do not count in the rest, where v is zero. For a ClosedLoop without P, the commands
+        saturate.
 
-        With limits of outputs, the change of v is shortened, or another change is taken that needs
-        less room, see :mod:`.output_step`. If an output exceeded its limit, the law takes a change
-        after which all limits hold for sure. If it finds none, it goes back to the share of w, from
-        rest, that would have kept the limit.
+        With limits of outputs, the change of v is shortened. Alternatively, another change is taken
+        that needs less room, see :mod:`.output_step`. If an output exceeded its limit, the law
+        takes a change after which all limits hold for sure. If there is no such change, the law
+        returns to the share of w, from rest, that would have kept the limit.
 
         Parameters
         ----------
         v : array_like, shape (time, m), or (time,) of one channel
-            ILC signal of the last trial. The time is the first axis; a square array cannot show an
-            error in that. Labelled signals (columns, or coordinates) are matched by name; a law of
-            several channels must be bound to a loop for that.
+            ILC signal of the last trial. The time must be the first axis; in a square array,
+            exchanged axes cannot be detected. Labelled signals (columns, or coordinates) are
+            matched by name. For this, a law of several channels must be bound to a loop.
         e : array_like, shape (time, p), or (time,) of one channel
             Tracking error of the last trial, reference - y.
         u : array_like, shape (time, commands), optional
             Commands that the controller asked for: the controls of a CurrentTrialLoop, or the
             inputs w of a ClosedLoop. Limits need them, also after the first trial.
         applied : array_like, shape (time, commands), optional
-            Commands that the actuators applied, as the observer was told. Default: the saturated u.
+            Commands that the actuators applied, as passed to the observer. Default: the saturated
+            u.
         y : array_like, shape (time, p), optional
             Outputs of the last trial. Limits of outputs need them.
         references : tuple of array_like, shapes (time, p), optional
             References of the last trial and of the next one. Default: e + y, for both.
         past : sequence of dict, optional
-            Signals v, reference and y of the trials before the last one, in their order. With them,
-            learning within limits of outputs goes further.
+            Signals v, reference and y of the trials before the last one, in their order. With these
+            signals, learning within limits of outputs goes further.
 
         Returns
         -------
@@ -257,8 +260,9 @@ class Law:
         Raises
         ------
         ValueError
-            If signals do not fit the law, or are so large that the next v is not finite. If limits
-            lack a loop, u or y. If an output exceeds its limit because of a reference alone.
+            If signals do not fit the law, or are so large that the next v is not finite. If there
+            are limits, but no loop, u or y. If an output exceeds its limit because of a reference
+            alone.
         RuntimeError
             If the solver fails.
         """
@@ -278,7 +282,7 @@ class Law:
         return arguments.labelled_as(labelled, following, names)
 
     def unlimited(self, v, e) -> np.ndarray:
-        """v of (23), with its rest, but without limits; arrays (..., time, channel)."""
+        """Compute v by (23), zero in the rest, without limits; arrays (..., time, channel)."""
         following = self._learned(v, e)
         following[..., v.shape[-2] - self.rest :, :] = 0
         return following
@@ -286,9 +290,11 @@ class Law:
     def within_limits(
         self, target, v, applied, y=None, references=None, past=()
     ) -> tuple[np.ndarray, Step | None]:
-        """What limits leave of a target for the next v, and the step of outputs, if one was made.
+        """Bring a target for the next v within the limits.
 
-        `v` and `applied` are those of :meth:`applied`; the others are as for :meth:`next`.
+        Returns the next v. Returns also the step that keeps limits of outputs, or None. The
+        arguments `v` and `applied` are the results of :meth:`applied`. The other arguments are as
+        for :meth:`next`.
         """
         now, after = references or (np.zeros((*v.shape[:-1], self.columns)),) * 2
         moved = after - now
@@ -301,7 +307,7 @@ class Law:
         return self._keeping_outputs(target, v, applied, y, now, moved, past)
 
     def _keeping_outputs(self, target, v, applied, y, reference, moved, past):
-        """The part of :meth:`within_limits` that is about outputs."""
+        """Keep limits of outputs: the second part of :meth:`within_limits`."""
         if self.loop is None:
             raise ValueError("limits of outputs need the law's loop: law.bound_to(loop)")
         if y is None:
@@ -320,14 +326,14 @@ class Law:
         return v + step.change - (moved if added else 0), step
 
     def _done(self, part):
-        """What drove P in a trial, as far as it was applied, and what came of it."""
+        """The signal that drove P in a trial, as far as it was applied, and the outputs."""
         v, reference, y = (np.asarray(part[name], float) for name in ("v", "reference", "y"))
         u = self.loop.asked(part)
         v, _ = self.applied(v, u, part.get("applied"))
         return Done(v + reference if self.loop.one_for_one else v, y)
 
     def _back(self, v, reference, y, moved):
-        """v after a trial beyond a limit: the share of what drove it that would have kept it."""
+        """v after a trial beyond a limit: the share of its w that would have kept the limit."""
         kept = self.output_limits
         if not self.loop.one_for_one and self.loop.references:
             name = kept.region.outputs[int(kept.beyond(y).argmax())]
@@ -342,14 +348,14 @@ class Law:
         return w - (reference + moved)
 
     def _learned(self, v, e):
-        """v of (23) without rest and limits."""
+        """Compute v by (23) without rest and limits."""
         a = self.gain
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
             learned = _finite(v + self.L.apply(e))
             return _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
 
     def _names(self, signal, known, count):
-        """Names of v's or e's channels; of a law without a loop, they cannot be matched with L."""
+        """Names of the channels of v or e; without a loop they cannot be matched with L."""
         if known or count is None:
             return known
         labels = arguments.names_of(signal) or [""] * count
@@ -361,7 +367,7 @@ class Law:
         return labels
 
     def applied(self, v, u, applied=None) -> tuple[np.ndarray, np.ndarray | None]:
-        """v as far as it was applied, and the commands that were, from u, those asked for."""
+        """Return v as far as it was applied, and the applied commands; u is what was asked for."""
         if self.actuators is None:
             return v, applied
         if u is None:
@@ -376,7 +382,7 @@ class Law:
 
 
 def _two_references(references, e, y, names):
-    """The references of the trial and of the next one; None if nothing says them."""
+    """The references of the trial and of the next one; None if they are not known."""
     if references is None:
         return None if y is None else (e + y, e + y)
     if not isinstance(references, list | tuple) or len(references) != 2:
@@ -388,7 +394,7 @@ def _two_references(references, e, y, names):
 
 
 def _finite(signal):
-    """The signal; a ValueError if it overflowed, for it would go to actuators."""
+    """Return the signal; a ValueError if it overflowed, because actuators would get it."""
     if not np.isfinite(signal).all():
         raise ValueError(
             f"v or e is too large: the next v would exceed {np.finfo(float).max:.2g}. Check the "

@@ -1,9 +1,11 @@
 """Limits of the commands: what actuators make of them, and the law (23) projected onto them.
 
-Section III has no limits. A projection onto a convex set brings no two signals further apart, in
-its own norm, so that a rate in that norm holds within the limits, too. Of trials without ends it is
-the largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), W = P^H P + weight I: by that factor the root
-of ||P d||^2 + weight ||d||^2 shrinks at least, d the distance of v from its limit.
+Section III has no limits. A projection onto a convex set never increases the distance of two
+signals, measured in its own norm. A convergence rate in that norm therefore holds within the
+limits, too. If the ends of trials are neglected, this rate is the largest value of
+sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), where W = P^H P + weight I. Let d be the difference between
+v and the v to which learning converges. In each trial, the root of ||P d||^2 + weight ||d||^2 is
+multiplied by at most this rate.
 """
 
 from collections.abc import Sequence
@@ -19,31 +21,31 @@ from ilctools.law.nearest import Norm, Rows
 from ilctools.loop.closed import Loop
 from ilctools.models import from_rest
 
-# Of the width of the limits: by so much a solver's rounding may pass them. The projection stays
-# inside by it, so that its commands are not counted as cut off.
+# A solver's rounding may pass the limits by this fraction of their width. The projection keeps this
+# distance from the limits, and its commands are then not counted as saturated.
 SOLVER_ROUNDING = 1e-6
 CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
 UNLIMITED = (-np.inf, np.inf)
 
 
 class LimitsOf(Enum):
-    """Who states the limits of a law that states none itself; there is one answer."""
+    """Who states the limits of a law that has none of its own; the only value is the rig."""
 
-    RIG = "rig"  # the rig that it runs on; without a rig there are no limits
+    RIG = "rig"  # the rig that the law runs on; without a rig there are no limits
 
     def __repr__(self):
         return "the rig's"
 
 
 def stated_limits(limits, names: Sequence[str] | None):
-    """Limits of a law, checked: a dict, where {} stands for none at all; None: those of the rig."""
+    """Check the limits of a law: a dict, {} for no limits, or None for the limits of the rig."""
     if limits is None or limits is LimitsOf.RIG:
         return LimitsOf.RIG
     return named_limits("limits", limits, names)
 
 
 def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tuple[float, float]]:
-    """Check limits (low, high) by name; `names` None: any name will do."""
+    """Check limits (low, high) by name; if `names` is None, any name is allowed."""
     checked = {}
     for key, values in arguments.by_name(name, limits, limits if names is None else names).items():
         low, high = arguments.array(f"{name}[{key!r}]", values, (2,)).tolist()
@@ -55,38 +57,41 @@ def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tu
 
 @dataclass(frozen=True)
 class Actuators:
-    """What actuators make of the commands of a loop; arrays of shape (m,), infinite: no limit."""
+    """What actuators make of the commands of a loop.
+
+    The arrays have the shape (m,). An infinite entry stands for no limit.
+    """
 
     lowest: np.ndarray
     highest: np.ndarray
 
     @classmethod
     def of(cls, limits: dict[str, tuple[float, float]], loop: Loop) -> "Actuators":
-        """Those of a loop, from limits by the names of its commands, which were checked."""
+        """Make the actuators of a loop from checked limits, by the names of its commands."""
         return cls(*np.transpose([limits.get(name, UNLIMITED) for name in loop.commands]))
 
     @property
     def width(self) -> np.ndarray:
-        """From the lowest to the highest command, what rounding is relative to; one if infinite."""
+        """Highest less lowest command, to which rounding is relative; one if it is infinite."""
         width = self.highest - self.lowest
         return np.where(np.isfinite(width), width, 1.0)
 
     def can(self, commands) -> bool:
-        """Whether commands (..., m) are applied as they are, but for rounding."""
+        """Whether commands (..., m) are applied unchanged, up to rounding."""
         return np.allclose(self.follow(commands), commands, 0, SOLVER_ROUNDING * self.width)
 
     def follow(self, commands) -> np.ndarray:
-        """What is applied of commands, shape (..., m)."""
+        """Saturate commands, shape (..., m)."""
         return np.clip(commands, self.lowest, self.highest)
 
     def room(self, commands) -> tuple[np.ndarray, np.ndarray]:
-        """By how much commands may change, low and high, but for what a solver rounds."""
+        """By how much commands may change, down and up, with a margin for a solver's rounding."""
         margin = SOLVER_ROUNDING * self.width
         return self.lowest + margin - commands, self.highest - margin - commands
 
 
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:
-    """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
+    """Say which share of the commands u, (..., control), actuators do not follow; "" for none."""
     words = []
     for i, name in enumerate(controls):
         low, high = limits.get(name, UNLIMITED)
@@ -98,7 +103,7 @@ def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, f
 
 
 def check_solver(loop: Loop) -> None:
-    """Refuse to learn within limits, before any trial, where there is no solver for it."""
+    """Refuse to learn within limits, before any trial, if the solver is not installed."""
     if loop.P_v is not None and nearest.piqp is None:
         raise ImportError(
             "limits of a law need the package piqp: install it, by pip install piqp, or leave the "
@@ -107,7 +112,7 @@ def check_solver(loop: Loop) -> None:
 
 
 def command_model(loop: Loop) -> control.StateSpace:
-    """From v to the commands, u = K x + N v; of a loop without P they are its inputs w."""
+    """Return the model from v to the commands, u = K x + N v; without P they are the inputs w."""
     P = loop.P_v
     if P is None:
         m = len(loop.learned)
@@ -118,9 +123,10 @@ def command_model(loop: Loop) -> control.StateSpace:
 
 
 def commands_after(loop: Loop, applied, change, reference_change) -> np.ndarray:
-    """The commands of a trial, (time, commands), after one in which `applied` were applied.
+    """Predict the commands of the next trial, (time, commands), from the commands `applied`.
 
-    Between them v changes by `change`, (time, m), and the reference by (time, p).
+    From the last trial to the next, v changes by `change`, shape (time, m). The reference changes
+    by `reference_change`, shape (time, p).
     """
     if loop.one_for_one:
         change = change + reference_change
@@ -132,9 +138,10 @@ def commands_after(loop: Loop, applied, change, reference_change) -> np.ndarray:
 def projected(
     loop: Loop, actuators: Actuators, v, target, commands, norm: Norm, rest: int
 ) -> np.ndarray:
-    """Of all v whose commands can be applied, the nearest to `target`, see :mod:`.nearest`.
+    """Find the v nearest to `target` among all v whose commands can be applied, :mod:`.nearest`.
 
-    `commands` are those of `target`, (time, commands). Without P they are cut off.
+    The array `commands` holds the commands that `target` asks for, (time, commands). Without P,
+    these commands saturate.
     """
     active, applicable = len(v) - rest, np.zeros_like(v)
     if loop.P_v is None:

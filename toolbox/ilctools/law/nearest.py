@@ -1,10 +1,12 @@
 """The least change of a signal that brings commands and outputs within their limits.
 
+The change z is the solution of a quadratic program:
+
     minimise    sum_p errors(p)' y(p)^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
     subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
                 low <= K x + N z <= high               for rows K, N of commands or of outputs
 
-The program has the stages of the loop, one for each sample; PIQP solves it.
+The program has one stage for each sample. PIQP solves the program.
 """
 
 from collections.abc import Sequence
@@ -18,10 +20,10 @@ from ilctools.models import balanced, dynamics_on_trial, on_trial
 
 try:
     import piqp
-except ImportError:  # which not every platform has
+except ImportError:  # piqp is not available on every platform
     piqp = None
 
-# of PIQP's systems: with its own 1e-10 rounding may keep it from an end
+# Regularisation of PIQP's systems. With PIQP's default, 1e-10, rounding may prevent convergence.
 LEAST_REGULARISATION = 1e-8
 
 
@@ -35,23 +37,23 @@ class Rows(NamedTuple):
 
 
 class Norm(NamedTuple):
-    """What a change costs: sum errors y^2 + change sum z^2."""
+    """The cost of a change: sum errors y^2 + change sum z^2."""
 
     change: float
     errors: np.ndarray | float = 1.0  # (time, p)
 
     @classmethod
     def of(cls, L) -> "Norm":
-        """That in which an operator learns."""
+        """Take the norm from a learning operator L."""
         return cls(L.weight_of_change, getattr(L, "weight_of_errors", 1.0))
 
     def size(self, y, z) -> float:
-        """That of signals (time, p) and (time, m)."""
+        """Compute the cost of signals y (time, p) and z (time, m)."""
         return float(np.sum(self.errors * y**2) + self.change * np.sum(z**2))
 
 
 class NotFound(RuntimeError):
-    """There is no signal within the limits, or the solver finds none."""
+    """Error: there is no signal within the limits, or the solver finds none."""
 
 
 def nearest(
@@ -62,16 +64,17 @@ def nearest(
     limited: Sequence[Rows],
     unit: float,
 ) -> np.ndarray:
-    """The least change z, (active, m); `unit` is how large it may be, in which its cost is one.
+    """Find the least change z within the limits, shape (active, m).
 
-    The solver's tolerances are absolute. Limits that z does not move count for nothing.
+    The solver's tolerances are absolute. Therefore z is computed in units of `unit`, the expected
+    size of z. Limits of signals that z does not move are ignored.
     """
     cost, dynamics, matrix = _program(P, norm, samples, active, limited)
     low, high = (
         np.concatenate([getattr(rows, end).ravel() / unit for rows in limited])
         for end in ("low", "high")
     )
-    moved = np.diff(matrix.indptr) > 0  # by v; others are cut off if they must be
+    moved = np.diff(matrix.indptr) > 0  # rows that v moves; other commands may saturate
     bounded = moved & (np.isfinite(low) | np.isfinite(high))
 
     solver = piqp.SparseSolver()
@@ -90,9 +93,9 @@ def nearest(
 
 
 def _program(P, norm, samples, active, limited):
-    """Of all x, then of all z before the rest: the cost / weight, the dynamics, the limited."""
+    """The cost / weight, the dynamics, the limited rows, for all x, then all z before the rest."""
     n, p, m = P.nstates, P.noutputs, P.ninputs
-    A, B, C = balanced(P, *(rows.K for rows in limited))  # else feasible programs may fail
+    A, B, C = balanced(P, *(rows.K for rows in limited))  # without it, feasible programs may fail
     moving = slice(samples * n + active * m)  # z is zero in the rest
     y = on_trial(samples, C[:p], P.D)[:, moving]
     dynamics = dynamics_on_trial(samples, A, B)[:, moving]

@@ -1,6 +1,7 @@
-"""Loops and laws as JSON: in the metadata of a log, and a law in a file of its own.
+"""Loops and laws as JSON: notes in the metadata of a log, and the file of a law.
 
-An excitation is noted by :mod:`ilctools.measurement.excitation`.
+A *note* is a piece of JSON. The note of an excitation is made by
+:mod:`ilctools.measurement.excitation`.
 """
 
 import json
@@ -27,23 +28,23 @@ from ilctools.pooled import isometry
 from ilctools.response.scale import Scale
 from ilctools.signals import Signals, check_match
 
-# of the file: the second see `is_newer`, the third for other numbers of inputs than of outputs, the
-# fourth with limits of outputs
+# Formats of the file. For the second see `is_newer`. The third is for different numbers of inputs
+# and outputs. The fourth has limits of outputs.
 LAW_FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3", "rodlib law 4")
-# What is not noted, in a file and in a log; step is the learning gain, actuators are the limits.
-# A file leaves them to the rig, if it does not say {}; a log was made within those that it names.
+# Defaults, which are not noted, in a file and in a log; step is the learning gain, actuators are
+# the limits. In a file, limits without a note are those of the rig; in a log there were none.
 OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG, "outputs": None}
 OF_LOG = OF_FILE | {"actuators": {}}
 LAW_KEYS = ("Q", "L", *OF_LOG)
-BEGUN = "begun"  # the note that says that v of trial 1 was given
-RESET = "reset"  # the note that says that there was none between trials, NO_RESET
-BETWEEN = "between"  # the note of what makes v where the reference changes, if not the law
+BEGUN = "begun"  # key of the note that v of trial 1 was given
+RESET = "reset"  # key of the note NO_RESET, that there was no reset between trials
+BETWEEN = "between"  # key of the note of what makes v if the reference changes, if not the law
 NO_RESET = "none: a trial starts where the last one ended"
-PARTS_OF_MODEL = (*"ABCD", "dt")  # of a model, and its sampling period
+PARTS_OF_MODEL = (*"ABCD", "dt")  # matrices of a model, and its sampling period
 
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):
-    """What `read` makes of the note `key` of a log; None if it is not there."""
+    """Read the note `key` of a log by the function `read`; None if there is no such note."""
     if key not in trials.attrs:
         return None
     with reading(key):
@@ -51,12 +52,12 @@ def read_note(trials: xr.Dataset, key: str, read: Callable):
 
 
 def text_of(notes, indent: int | None = None) -> str:
-    """Notes as JSON, numbers to the last digit."""
+    """Return notes as JSON text, with all digits of numbers."""
     return json.dumps(notes, ensure_ascii=False, indent=indent, default=_plain)
 
 
 def _plain(part):
-    """An array or a model as what JSON can hold."""
+    """Turn an array or a model into values that JSON can hold."""
     if not isinstance(part, control.StateSpace):
         return part.tolist()
     values = {name: getattr(part, name) for name in PARTS_OF_MODEL}
@@ -64,7 +65,7 @@ def _plain(part):
 
 
 def model_from(note):
-    """A model that :func:`text_of` noted."""
+    """Make a model again from its note by :func:`text_of`."""
     if note is None:
         return None
     values = (note[name] for name in PARTS_OF_MODEL)
@@ -72,7 +73,7 @@ def model_from(note):
 
 
 def loop_note(loop: CurrentTrialLoop | ClosedLoop) -> str:
-    """A loop as JSON."""
+    """Return a loop as JSON."""
     note = {part.name: getattr(loop, part.name) for part in fields(loop)}
     if isinstance(loop, ClosedLoop) and loop.one_for_one:  # as in notes before there was a choice
         del note["references"], note["learned"]
@@ -80,15 +81,16 @@ def loop_note(loop: CurrentTrialLoop | ClosedLoop) -> str:
 
 
 def with_loop(trials: xr.Dataset, loop: Loop | None) -> xr.Dataset:
-    """Note the loop in the metadata, if it is one that :func:`loop_of` can make again."""
+    """Note the loop in the metadata, if :func:`loop_of` can make the loop again."""
     ours = isinstance(loop, CurrentTrialLoop | ClosedLoop)
     return trials.assign_attrs(loop=loop_note(loop)) if ours else trials
 
 
 def loop_of(trials: xr.Dataset) -> Loop | None:
-    """The loop noted in the metadata of a log, to the last digit; None if it does not say.
+    """Return the loop that is noted in the metadata of a log, to the last digit, or None.
 
-    A LogError if the note cannot be understood, or is that of other signals or units.
+    None means that the log has no note of a loop. Raises a LogError if the note cannot be
+    understood, or if it is for other signals or units.
     """
 
     def read(note):
@@ -101,12 +103,15 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 
 
 def is_newer(note: str) -> bool:
-    """Whether a note says what the first format cannot: L looks back, has a base, is no filter."""
+    """Whether a note needs the second format: L looks back, has a base, or is no filter."""
     return '"first":' in note or '"samples":' in note
 
 
 def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
-    """A law by the keys of its file, but for what is `usual`; no L that has no coefficients."""
+    """Return a law by the keys of its file, without the values that are `usual`.
+
+    An L of a class that :func:`save_law` cannot write is left out.
+    """
     Q, L = law.Q, law.L
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
     if L is None or isinstance(L, Filter):
@@ -119,7 +124,7 @@ def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
 
 
 def _limits_note(kept):
-    """Limits of outputs and the plants within their radii, in units of `scale`, as JSON."""
+    """Return the note of limits of outputs and of plants with their radii, in units of `scale`."""
     limits = {
         name: [None if np.all(np.isinf(end)) else end for end in ends]
         for name, ends in kept.limits.items()
@@ -131,7 +136,7 @@ def _limits_note(kept):
 
 
 def _limits_from(note):
-    """The limits of outputs that were noted; None if there are none."""
+    """Make limits of outputs again from their note; None without a note."""
     if note is None:
         return None
     region = note["region"]
@@ -145,7 +150,7 @@ def _limits_from(note):
 
 
 def _filter_note(L):
-    """A filter, with what was not there in the first format only where it is needed."""
+    """Return the note of a filter; keys that the first format lacked only where needed."""
     B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
     note = {"coefficients": K.coefficients, "ends": K.ends}
     if K.first == 1 and B is None:
@@ -155,7 +160,7 @@ def _filter_note(L):
 
 
 def _base_note(B):
-    """A base, with E where it is not that of models which stand one below the other."""
+    """Return the note of a base; E is noted only if it differs from :func:`_stacked`."""
     note = {"b": B.b, "scale": B.scale, "P": B.P}
     if not np.array_equal(B.E, _stacked(B.P)):
         note["E"] = B.E
@@ -163,13 +168,13 @@ def _base_note(B):
 
 
 def _stacked(P):
-    """E of square models one below the other, as in notes without E; None if P is none of them."""
+    """E of square models stacked in P, for notes without E; None if P is no such stack."""
     copies, rest = divmod(P.noutputs, P.ninputs)
     return None if rest else isometry(copies, P.ninputs)
 
 
 def _law_from(Ts, Q, L, rest, step, actuators, outputs):
-    """The law that :func:`law_notes` noted."""
+    """Make a law again from the notes of :func:`law_notes`."""
     L, kept = None if L is None else _filter_from(Ts, **L), _limits_from(outputs)
     return Law(ZeroPhaseButterworth(Ts=Ts, **Q), L, rest, step, actuators, output_limits=kept)
 
@@ -187,21 +192,21 @@ def _filter_from(Ts, base=None, K_first=True, **taps):
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Note in the metadata which law (23) made the trials, and around which loop."""
-    made = replace(law, limits=law.known_limits)  # those of the rig hold on it alone
+    made = replace(law, limits=law.known_limits)  # limits of a rig hold on that rig alone
     texts = {key: text_of(note) for key, note in law_notes(made, OF_LOG).items()}
     return with_loop(trials.assign_attrs(texts), law.loop)
 
 
 def law_of(trials: xr.Dataset) -> Law | None:
-    """The law noted in the metadata of a log, bound to the loop if that is noted, too.
+    """Return the law that is noted in the metadata of a log, or None if Q or L is not noted.
 
-    None if Q or L are not noted; a LogError if the notes cannot be understood, or are those of
-    other signals.
+    If the log also notes its loop, the law is bound to this loop. Raises a LogError if the notes
+    cannot be understood, or if they are for other signals.
 
     See Also
     --------
-    load_law : the law of a file of its own
-    replay : what it makes of the log
+    load_law : reads a law from a file of its own
+    replay : runs the law on the log
 
     Examples
     --------
@@ -236,35 +241,45 @@ def law_of(trials: xr.Dataset) -> Law | None:
 
 
 def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """What each actuator follows, by the name of its command, as noted in the metadata."""
+    """Return the limits of each actuator, by the name of its command, as noted in the metadata."""
     read = partial(named_limits, "actuators", names=None)
     return read_note(trials, "actuators", read) or {}
 
 
 def save_law(path, law: Law, note: str = "") -> None:
-    """Write a law to a file, to the last digit; a law that is there is replaced as a whole.
+    """Write a law to a file, with all digits of its numbers.
+
+    If the file already holds a law, the file is replaced as a whole.
 
     Parameters
     ----------
     path : path-like
-        JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
-        shape (m, p, order), ends; if it looks back or has a base, first and base: null, or b,
-        scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
-        gain), ``actuators`` (the limits) and ``outputs`` (limits of outputs, noise, and the plants
-        within their radii), ``note``; and, for other languages, ``sections``, the
-        second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
-        The actuators {} stand for no limits at all; without this key the limits are the rig's.
-        Other keys are refused where it is read; of the sections, only docs/law.c checks that they
-        are those of Q: who changes Q by hand saves the law anew.
+        A JSON file, whose keys are listed in the notes.
     law : Law
         L must be a LearningFilter, B K of a design, or a NormOptimal. The loop is not written.
     note : str
-        What made it, for those who read the file.
+        How the law was made, for those who read the file.
 
     See Also
     --------
-    load_law : to read it
-    law_of : the law of a log
+    load_law : reads the file
+    law_of : returns the law of a log
+
+    Notes
+    -----
+    The file has the keys ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` and
+    ``note``. The key ``L`` holds coefficients of shape (m, p, order), and ends. If L looks back or
+    has a base, ``L`` also holds first and base. The value of base is null, or b, scale and the
+    model P.
+
+    These keys are written if they differ from the defaults: ``rest``, ``step`` (the learning gain),
+    ``actuators`` (the limits) and ``outputs``. The key ``outputs`` holds limits of outputs, noise,
+    and the plants within their radii. The actuators {} stand for no limits at all. Without the key
+    ``actuators``, the limits are the rig's. Other keys are refused when the file is read.
+
+    For other languages, the key ``sections`` holds the second-order sections b0, b1, b2, 1, a1, a2
+    of the forward half of Q, see docs/law.c. Only docs/law.c checks that the sections belong to Q.
+    If you change Q by hand, save the law again.
 
     Examples
     --------
@@ -282,17 +297,19 @@ def save_law(path, law: Law, note: str = "") -> None:
     number = 3 if law.output_limits else number
     content = {"format": LAW_FORMATS[number], "Ts": law.Ts, **notes, "note": note}
     text = text_of(content | {"sections": law.Q.sections}, indent=1) + "\n"
-    keep_others(path, text[: text.index("law")])  # raw data, say
+    keep_others(path, text[: text.index("law")])  # other files, such as raw data
     write_whole(path, text)
 
 
 def load_law(path) -> Law:
-    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``.
+    """Read a law from a file of :func:`save_law`.
+
+    The law can be used as in ``record(rig, loop, load_law(path), reference)``.
 
     See Also
     --------
-    save_law : to write it
-    law_of : the law of a log
+    save_law : writes the file
+    law_of : returns the law of a log
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Limits of outputs that every trial keeps: what is stated of them, and what is promised."""
+"""Limits of outputs that every trial keeps: their values, and the guarantee that they are kept."""
 
 import reprlib
 from collections.abc import Sequence
@@ -22,16 +22,18 @@ Limit = tuple[float | np.ndarray, float | np.ndarray]  # lowest and highest; inf
 class OutputLimits:
     """Limits of outputs, and what is known of the plant that is to keep them.
 
-    Made by ``design.law(limits=..., noise=...)``; print it for what it promises. How they are kept:
-    :mod:`.output_step`.
+    ``design.law(limits=..., noise=...)`` makes this object. Print the object to see what it
+    guarantees. :mod:`.output_step` describes how the limits are kept.
 
     Attributes
     ----------
     limits : dict
-        Lowest and highest of outputs by name, in their units: numbers or one for each sample.
+        Lowest and highest value of outputs by name, in their units. A value is a number, or has one
+        entry for each sample.
     noise : dict
-        By name, a bound of what does not repeat in each sample, n.
+        A bound n, by name of the output, of what does not repeat in each sample.
     region : PlantRegion
+        The models of the plant, with their radii.
     """
 
     limits: dict[str, Limit]
@@ -51,11 +53,11 @@ class OutputLimits:
 
     @cached_property
     def n(self) -> np.ndarray:
-        """Bound of what does not repeat, of each output, (p,)."""
+        """Bound of what does not repeat, for each output, (p,)."""
         return np.array([self.noise.get(name, 0.0) for name in self.region.outputs])
 
     def ends(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest of all outputs, (time, p)."""
+        """Return the lowest and the highest values of all outputs, (time, p)."""
         ends = np.empty((2, samples, len(self.region.outputs)))
         ends[0], ends[1] = -np.inf, np.inf
         for i, name in enumerate(self.region.outputs):
@@ -68,7 +70,7 @@ class OutputLimits:
         return ends[0], ends[1]
 
     def check_rest(self, reference) -> None:
-        """Refuse limits that trials break where they begin, at the reference's first sample."""
+        """Refuse limits that trials exceed where they begin, at the reference's first sample."""
         low, high = self.ends(len(reference))
         for i, name in enumerate(self.region.outputs):
             rest, n = reference[0, i], self.n[i]
@@ -79,21 +81,21 @@ class OutputLimits:
                 )
 
     def distance(self, y) -> np.ndarray:
-        """How far outputs (time, p) stay from their limits, (p,): below zero they are beyond."""
+        """Compute the distance of outputs (time, p) from their limits, (p,); negative if beyond."""
         low, high = self.ends(len(y))
         return np.minimum(high - y, y - low).min(axis=0)
 
     def beyond(self, y) -> np.ndarray:
-        """By how much outputs (time, p) are beyond their limits, at most, (p,)."""
+        """Compute the most by which outputs (time, p) exceed their limits, (p,)."""
         return np.maximum(-self.distance(y), 0)
 
     def room(self, y) -> Room:
-        """(6), after a trial with the outputs y."""
+        """Compute the room of (6) after a trial with the outputs y."""
         low, high = self.ends(len(y))
         return Room(y - low - 2 * self.n, high - 2 * self.n - y)
 
     def first_share(self, reference) -> float:
-        """What share of a reference (time, p) P and its radius let through from rest."""
+        """Compute the share of a reference (time, p) that P and its radius allow from rest."""
         scale = self.region.scale
         w = (reference - reference[0]) / scale.v
         room = self.room(np.broadcast_to(reference[0], reference.shape))
@@ -104,10 +106,10 @@ class OutputLimits:
         )
 
     def safe_share(self, y) -> float:
-        """What share of what drove a trial (time, p) from rest would have kept the limits.
+        """Compute the share b of a trial's w from rest that would have kept the limits.
 
-        It holds for all linear plants, if no disturbance repeats:  high - n >= y_0 + b (y + n -
-        y_0).
+        The outputs of the trial are y (time, p). The share is correct for all linear plants, if no
+        disturbance repeats:  high - n >= y_0 + b (y + n - y_0).
         """
         low, high = self.ends(len(y))
         moves = y - y[0]
@@ -115,7 +117,7 @@ class OutputLimits:
         return float(room.share(Spread(moves - self.n, moves + self.n)).min())
 
     def plants(self, samples: int) -> list[Plant]:
-        """On trials of so many samples."""
+        """Return all plants of the region, for trials of `samples` samples."""
         if samples not in self._plants:
             bounds = [ErrorBound(self.region.angles, r, samples) for r in self.region.radii]
             self._plants[samples] = [*map(Plant, self.region.models, bounds)]
@@ -134,22 +136,24 @@ class OutputLimits:
         active: int,
         commands: Commands | None = None,
     ) -> Step | None:
-        """The change of what drives P that is taken instead of the law's, :mod:`.output_step`.
+        """Compute the change of w that keeps the limits of outputs, :mod:`.output_step`.
 
-        None after a trial beyond a limit, if no change is found after which all hold for sure.
+        This change replaces the law's own change. After a trial in which an output exceeded a
+        limit, the result may be None. None means that no change is found after which all limits
+        hold for sure.
 
         Parameters
         ----------
         wanted : ndarray, shape (time, m)
             The law's change.
         now, past : Done, sequence of Done
-            The trial that has just ended, and those before, the last one last.
+            The trial that has just ended, and the trials before, in their order.
         norm : Norm
-            In units of `scale`, of (7).
+            The norm of (7), in units of `scale`.
         active : int
             Number of samples before the rest, in which a program may choose the change.
         commands : Commands, optional
-            Limits of commands, which hold for what programs find.
+            Limits of commands, which hold for changes that programs find.
         """
         scale, plants = self.region.scale, self.plants(len(wanted))
         down, up = self.room(now.y)
@@ -170,18 +174,18 @@ class OutputLimits:
         )
 
     def _comparable(self, past):
-        """Trials since the last one that broke the promise: before it something was another."""
+        """The trials from the last one beyond a limit on; conditions may have changed before."""
         broken = [k for k, done in enumerate(past) if self.beyond(done.y).any()]
         return past[max(broken, default=0) :]
 
     def _in_words(self, name):
-        """Its limits, of a signal that changes with time the least distance."""
+        """The limits of an output in words; "changing" for a limit that changes with time."""
         low, high = ("changing" if np.ndim(end) else end for end in self.limits[name])
         return f"({low}, {high})"
 
     @property
     def promise(self) -> str:
-        """What is kept, and under which conditions."""
+        """The guarantee in words: what is kept, and under which conditions."""
         lines = [self._promise_of(name) for name in self.limits]
         region = self.region
         if region.exact:
@@ -240,7 +244,7 @@ def _limit(name: str, ends) -> Limit:
 
 
 def _end(name, end):
-    """One end of limits: a number, or one for each sample."""
+    """Check one end of limits: a number, or one number for each sample."""
     end = np.asarray(end, dtype=float) if np.ndim(end) < 2 else end
     if np.ndim(end) > 1 or np.isnan(end).any():
         raise ValueError(f"{name} must hold None, a number or one for each sample, (time,)")

@@ -1,6 +1,6 @@
-"""The program whose solution needs less of a limit than the law's own change: (7), :mod:`.nearest`.
+"""The program that finds a change which needs less room than the law's own: (7), :mod:`.nearest`.
 
-Limits of outputs are tightened by a share theta of what the error of a plant may add.
+Limits of outputs are tightened by a share theta of the output that the error of a plant may add.
 """
 
 from collections.abc import Sequence
@@ -15,24 +15,24 @@ from ilctools.law.nearest import Norm, Rows, nearest
 from ilctools.law.output_spread import Plant, Room, Spread
 from ilctools.response.scale import Scale
 
-MOST_PLANTS = 3  # of a list in a program: those that leave least room; (6) takes all
+MOST_PLANTS = 3  # plants in a program, chosen for the least share (6); (6) itself takes all plants
 
 
 class Commands(NamedTuple):
-    """Limits of commands, which follow from what drives P as the outputs of a model do."""
+    """Limits of commands, and the model from w to commands."""
 
     model: control.StateSpace  # from w to commands, in their own units
     ends: tuple[np.ndarray, np.ndarray]  # low and high of their change, (active, commands)
 
     def in_units(self, scale: Scale) -> "Commands":
-        """With w in units of `scale`."""
+        """Return these limits with w in units of `scale`."""
         P, S = self.model, np.diag(scale.v)
         return self._replace(model=control.ss(P.A, P.B @ S, P.C, P.D @ S, P.dt))
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """What a change of w is to do; all in units of `scale`."""
+    """What a change of w must achieve; all values are in units of `scale`."""
 
     plants: Sequence[Plant]
     room: Room
@@ -42,17 +42,18 @@ class Program:
     commands: Commands | None
 
     def cost(self, d) -> float:
-        """(7)."""
+        """Compute the cost (7) of a change d."""
         off = d - self.wanted
         return self.norm.size(self.plants[0].output(off), off)
 
     def change(self, spreads: Sequence[Spread], theta: float) -> np.ndarray:
-        """The cheapest change within limits that are tightened by theta of these spreads' radii.
+        """Find the cheapest change within limits that are tightened by theta times the radii.
 
-        They are those of the law's change, of each plant. Raises a NotFound.
+        The radii are taken from `spreads`, which hold the spread of the law's change for each
+        plant. Raises a NotFound if there is no such change.
         """
         least = [self.room.share(spread).min() for spread in spreads]
-        some = np.union1d(0, np.argsort(least)[:MOST_PLANTS])  # the nominal one has the cost
+        some = np.union1d(0, np.argsort(least)[:MOST_PLANTS])  # the nominal plant defines the cost
         asked = [(self.plants[k].model, _tightened(self.room, spreads[k], theta)) for k in some]
         if self.commands is not None:
             asked.append(self.commands)
@@ -63,13 +64,13 @@ class Program:
 
 
 def _tightened(room: Room, spread: Spread, theta: float) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where outputs may move from what is expected of the law's change."""
+    """The range in which outputs may differ from their prediction for the law's change."""
     margin = theta * spread.radius
     return margin - room.down - spread.middle, room.up - margin - spread.middle
 
 
 def _beside(asked) -> tuple[control.StateSpace, list[Rows]]:
-    """Models of one input as one, with the first one's outputs, and the rows of each, limited."""
+    """Join models with the same input; return the first one's outputs and all limited rows."""
     models, ends = zip(*asked, strict=True)
     A, C = block_diag(*(P.A for P in models)), block_diag(*(P.C for P in models))
     B, D = np.vstack([P.B for P in models]), np.vstack([P.D for P in models])

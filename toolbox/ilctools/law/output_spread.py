@@ -1,4 +1,4 @@
-"""How outputs may change from one trial to the next: by a model and its radius, and trials before.
+"""How outputs may change from one trial to the next, by a model, its radius and earlier trials.
 
 The equations (4) and (5) are in :mod:`.output_step`.
 """
@@ -14,33 +14,33 @@ from scipy.fft import rfft
 from ilctools.law.error_bound import ErrorBound
 from ilctools.models import from_rest
 
-PAST = 3  # trials before this one that (5) takes
-REWEIGHTED = 6  # times, by which least squares come near to the least sum of norms
-NEARLY_ZERO = 1e-6  # relative: what is smaller has the same weight in these
-TINY = np.finfo(float).tiny  # instead of a zero that divides
+PAST = 3  # number of earlier trials that (5) takes
+REWEIGHTED = 6  # iterations of reweighted least squares, which approximate the least sum of norms
+NEARLY_ZERO = 1e-6  # relative size below which all values have the same weight in the iterations
+TINY = np.finfo(float).tiny  # added to divisors that may be zero
 
 
 class Done(NamedTuple):
-    """A trial that has ended: what drove P, and what came of it; in units of `scale`."""
+    """A trial that has ended: the signal w that drove P and the outputs, in units of `scale`."""
 
     w: np.ndarray  # (time, m)
     y: np.ndarray  # (time, p)
 
 
 class Spread(NamedTuple):
-    """From which to which change y may come, but for the last 2 n; shape (time, p)."""
+    """The least and the greatest change of y, without the last 2 n; shape (time, p)."""
 
     least: np.ndarray
     most: np.ndarray
 
     @property
     def middle(self) -> np.ndarray:
-        """What is expected."""
+        """The expected change."""
         return (self.least + self.most) / 2
 
     @property
     def radius(self) -> np.ndarray:
-        """What the error of the model adds."""
+        """What the error of the model may add to the expected change."""
         return (self.most - self.least) / 2
 
 
@@ -51,7 +51,7 @@ class Room(NamedTuple):
     up: np.ndarray
 
     def share(self, spread: Spread) -> np.ndarray:
-        """alpha of (6), of each sample and output."""
+        """Compute alpha of (6) for each sample and output."""
         share = np.ones(spread.most.shape)
         for room, need in ((self.up, spread.most), (self.down, -spread.least)):
             limited = (need > 0) & np.isfinite(room)
@@ -68,11 +68,11 @@ class Plant:
     bound: ErrorBound
 
     def output(self, w) -> np.ndarray:
-        """P w, from rest, (time, p)."""
+        """Compute P w from rest, shape (time, p)."""
         return from_rest(self.model, w)
 
     def spread(self, d, now: Done, past: Sequence[Done], noise) -> Spread:
-        """By (4), and where it is tighter by (5); noise (p,) is n."""
+        """Compute the spread by (4), and by (5) where (5) is tighter; noise (p,) is n."""
         y, rho = self.output(d), self.bound.over_time(d)[:, None]
         least, most = y - rho, y + rho  # (4)
         if past and rho.any():
@@ -86,13 +86,13 @@ class Plant:
         return Spread(least, most)
 
     def admits(self, done: Done, now: Done, noise) -> bool:
-        """Whether a trial and the last one differ by no more than (4) lets them."""
+        """Whether a trial and the last one differ by no more than (4) allows."""
         came, spread = done.y - now.y, self.spread(done.w - now.w, now, [], noise)
         slack = 2 * noise + NEARLY_ZERO * np.abs(came).max()
         return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
 
     def combination(self, d, changes, noise: float) -> np.ndarray:
-        """The c_j of (5) for which rho(d') + 2 n sum |c_j| is about least: any numbers hold."""
+        """Find c_j of (5) for which rho(d') + 2 n sum |c_j| is about least; any c_j are valid."""
         D, W = (rfft(signal, self.bound.padded, axis=-2) for signal in (d, changes))
         size, each = np.abs(D).max() + TINY, self.bound.weights
         weights, of_c = each / size, np.zeros(len(W))

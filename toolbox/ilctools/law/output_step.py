@@ -1,33 +1,36 @@
-"""The next trial's signal that keeps limits of outputs, though P is known within a radius only.
+"""The next trial's signal that keeps limits of outputs, if P is known within a radius only.
 
-Trial k was driven by w_k = r + v_k, and y_k was measured. The next trial is driven by w_k + d. Its
-outputs are y_k + P d + Delta d and what does not repeat. Delta is any stable, linear and causal
-error within the radius of P. What does not repeat is at most n in each trial. With rho(t) of
-:mod:`.error_bound`
+Trial k was driven by w_k = r + v_k, and y_k was measured. The next trial is driven by w_k + d. The
+next outputs are y_k + P d + Delta d, plus what does not repeat. Delta is any stable, linear and
+causal error within the radius of P. What does not repeat is at most n in each trial. With rho(t) of
+:mod:`.error_bound`,
 
     |y_{k+1} - y_k - P d| <= rho(t) + 2 n.                                                      (4)
 
-Earlier trials say more. For any numbers c_j
+Earlier trials can tighten this bound. For any numbers c_j
 
     d = sum c_j (w_j - w_k) + d',    y_{k+1} - y_k = sum c_j (y_j - y_k) + P d' + Delta d',     (5)
 
-where only d' meets the error of P. The rest was measured, up to 2 n sum |c_j|. At each sample the
-tighter bound of both holds. An earlier trial that contradicts (4) is left out, because another
-disturbance acted in it. The *need* of d is how far y may move towards a limit by (4) and (5),
-without the last 2 n. The need grows in proportion to d. The *room* is the distance to the limit,
-less 2 n. The largest share alpha of d that keeps all limits in the next trial is
+where the error of P acts on d' only. The other part was measured, up to 2 n sum |c_j|. At each
+sample the tighter one of both bounds holds. If an earlier trial contradicts (4), another
+disturbance acted in that trial, and (5) leaves the trial out. The *need* of d is how far y may move
+towards a limit by (4) and (5), without the last 2 n. The need grows in proportion to d. The *room*
+is the distance to the limit, less 2 n. The largest share alpha of d that keeps all limits in the
+next trial is
 
     alpha = min(1, least of room / need),    room = high - 2 n - y_k,    or y_k - low - 2 n,    (6)
 
-where a negative room counts as zero. This is the proof; docs/proofs.md has it in full.
+where a negative room counts as zero. These equations are the proof; docs/proofs.md has the proof in
+full.
 
 Two kinds of changes are shortened in this way: the law's own change, and the changes that a program
-finds. The program looks for the signal that is closest to the law's and keeps limits that are
-tightened by theta times the radius of (4) or (5), with theta from THETAS. The change of least cost
+finds. The program looks for the signal that is closest to the law's signal within tightened limits.
+The limits are tightened by theta times the radius of (4) or (5), with theta from THETAS. Among
+these changes and d = 0, the change of least cost is taken. The cost is
 
-    ||P (d - d*)||^2 + weight ||d - d*||^2,    d* the law's change,                             (7)
+    ||P (d - d*)||^2 + weight ||d - d*||^2,                                                     (7)
 
-is taken, or d = 0.
+where d* is the law's change.
 """
 
 from collections.abc import Sequence
@@ -40,13 +43,14 @@ from ilctools.law.output_program import Program
 from ilctools.law.output_spread import Done
 
 THETAS = (0.3, 1.0)  # shares of (4) or (5) by which the limits of programs are tightened
-BACK_THETAS = (1.2, 2.0)  # likewise, after a trial beyond a limit
+BACK_THETAS = (1.2, 2.0)  # the same shares, after a trial beyond a limit
 
 
 def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | None:
-    """A change after which all limits hold for sure, of a trial beyond one; None: none is found.
+    """Find a change after which all limits hold for sure, after a trial beyond a limit.
 
-    Trials before do not count: something may have changed since.
+    Returns None if no change is found. Earlier trials are not used, because something may have
+    changed since.
     """
     plants, room = program.plants, program.room
     spreads = [plant.spread(program.wanted, now, [], noise) for plant in plants]
@@ -62,17 +66,17 @@ def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | Non
 
 
 class Step(NamedTuple):
-    """The change of w that keeps all limits, and what keeps the law from its own."""
+    """The change of w that keeps all limits, and what limits the law's own change."""
 
     change: np.ndarray  # (time, m)
     alpha: float  # share of the law's own change that (6) allows
-    output: int  # which has the least alpha, with the next two at that sample
+    output: int  # the output with the least alpha; the next two hold at its sample
     room: float
-    error: float  # the radius of what may come
+    error: float  # radius of the spread
 
 
 def longest_step(program: Program, now: Done, past: Sequence[Done], noise: np.ndarray) -> Step:
-    """The change of least cost (7): the law's, or one of a program, each shortened by (6)."""
+    """Find the change of least cost (7): the law's or a program's, each shortened by (6)."""
     plants, room, wanted = program.plants, program.room, program.wanted
     past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
 

@@ -1,4 +1,4 @@
-"""Plants as they are known in time: models, and how far each may be off at each frequency."""
+"""Plants in the time domain: models, each with a bound of its error at each frequency."""
 
 from dataclasses import dataclass
 
@@ -17,10 +17,10 @@ POINTS = 2048  # frequencies at which a model is compared with samples, beside t
 
 @dataclass(frozen=True, eq=False)
 class PlantRegion:
-    """Models P_k, and radii r_k: the plant is one of P_k + Delta, ||Delta(omega)|| <= r_k(omega).
+    """Models P_k and radii r_k: the plant is one P_k + Delta with ||Delta(omega)|| <= r_k(omega).
 
-    P, Delta and the radii are in units of `scale`. The radii run along straight lines over omega,
-    and are held below the first frequency and above the last.
+    P, Delta and the radii are in units of `scale`. The radii are linear between the frequencies,
+    and constant below the first frequency and above the last.
     """
 
     models: tuple[control.StateSpace, ...]
@@ -29,13 +29,14 @@ class PlantRegion:
     scale: Scale
     outputs: list[str]
     inputs: list[str]
-    estimated: bool = False  # whether the radius is that of an estimate, with its confidence
+    estimated: bool = False  # whether the radius is from an estimate, with its confidence
 
     @classmethod
     def of(cls, response: Response, model: control.StateSpace | None) -> "PlantRegion":
-        """That of a design's response; of one known by samples, about a model of it.
+        """Make the region from the response of a design.
 
-        The distance of the model from the samples is added to their radius.
+        If the response is known by samples, the region is centred at `model`. The distance of the
+        model from the samples is added to the radius of the samples.
         """
         response = in_all_directions(response)
         scale, omega = response.scale, response.omega
@@ -58,15 +59,15 @@ class PlantRegion:
         estimated = response.low is not None
         return cls(models, omega * response.Ts, radii, scale, outputs, inputs, estimated)
 
-    sampled = False  # the next are as those of a Response, in the plants' own units
+    sampled = False  # as in Response, like the next members, in the plants' own units
 
     @property
     def radius(self) -> np.ndarray | None:
-        """That of the nominal plant, (n,); None if P is one of the models."""
+        """The radius of the nominal plant, (n,); None if P is one of the models."""
         return None if self.exact else self.radii[0] / self.scale.of_P.min()
 
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
-        """P (k, p, m) of a plant, and the radius (k,), at any frequencies, rad/s."""
+        """Compute P (k, p, m) of a plant, and its radius (k,), at any frequencies, rad/s."""
         model, back = self.models[plant], self.scale.inverse.of_P
         radius = np.interp(omega * model.dt, self.angles, self.radii[plant])
         return frequency_response(model, omega) * back, radius * back.max()

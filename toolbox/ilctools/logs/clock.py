@@ -1,7 +1,7 @@
-"""The clock of a table: trials that are whole, equally long and in time.
+"""The clock of a table: checks that trials are complete, equally long and sampled in time.
 
-A table has the columns trial and time (s) and is indexed by the rows of the file. Clocks jitter, so
-each step is compared with Ts, and so is their mean.
+A table has the columns trial and time (s) and is indexed by the rows of the file. Clocks jitter.
+Therefore each step is compared with Ts, and the mean step is compared with Ts, too.
 """
 
 import re
@@ -10,21 +10,21 @@ import pandas as pd
 
 from ilctools.errors import LogError
 
-NOTED_JITTER = 1e-3  # of Ts: below it, a clock is not worth a note
-JITTER = 0.1  # of Ts: by which a step of the clock may differ
-DRIFT = 0.01  # of Ts: by which the mean step may differ
-ROUNDED_STEP = 2e-3  # of the mean step: by which rounding may change it
-# In s. Clocks count from 1970, or 1904, or from the start of a program: none is in the year 5138.
+NOTED_JITTER = 1e-3  # fraction of Ts: smaller jitter is not noted
+JITTER = 0.1  # fraction of Ts by which a step of the clock may differ from Ts
+DRIFT = 0.01  # fraction of Ts by which the mean step may differ from Ts
+ROUNDED_STEP = 2e-3  # fraction of the mean step by which rounding may change the mean step
+# In s. Clocks count from 1970, from 1904, or from the start of a program: 1e11 s is the year 5138.
 LATEST_START = 1e11
 
 
 def steps_of(table: pd.DataFrame) -> pd.Series:
-    """The steps of the clock within trials, by the row that each ends in."""
+    """Return the steps of the clock within trials, each by the row in which it ends."""
     return table["time"].diff()[table["trial"].diff() == 0]
 
 
 def mean_step(table: pd.DataFrame) -> float:
-    """The mean step of a clock, with the fewest digits that its scatter leaves; NaN of no step."""
+    """Return the mean step of a clock, rounded as far as its scatter permits; NaN without steps."""
     steps = steps_of(table)
     mean = float(steps.mean())
     slack = min(steps.max() - steps.min(), ROUNDED_STEP * mean)
@@ -33,15 +33,16 @@ def mean_step(table: pd.DataFrame) -> float:
 
 
 def seconds(unit: str) -> float:
-    """How long a unit of time is; a ValueError for any other."""
+    """Return the length of a unit of time, in s; a ValueError for any other unit."""
     unit = re.sub("secs?$", "s", unit.replace("\u03bc", "\u00b5"))  # pandas knows one mu
     return pd.Timedelta(1, unit).total_seconds()
 
 
 def check_start(start: float, second: float) -> None:
-    """Refuse a clock, in s, that begins later than any does: its unit is another one.
+    """Refuse a clock that begins later than any clock does, because its unit must be wrong.
 
-    `second` is the unit in which it was read, in s.
+    Both arguments are in s: `start` is the begin of the clock, and `second` is the unit in which
+    the clock was read.
     """
     if abs(start) > LATEST_START:
         raise LogError(
@@ -51,7 +52,7 @@ def check_start(start: float, second: float) -> None:
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
-    """A note on a clock that is not exact; a LogError for trials that are not whole and in time."""
+    """Check trials and clock, and note jitter; a LogError if trials are not complete or in time."""
     trial, steps = table["trial"], steps_of(table)
     starts = trial.diff() != 0
     _refuse(
@@ -89,7 +90,7 @@ def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
 
 
 def _refuse(wrong, message):
-    """Refuse values that are wrong, by the first of them and its row."""
+    """Refuse wrong values; the error names the first wrong value and its row."""
     if len(wrong):
         row, value = wrong.index[0], wrong.iloc[0]
         raise LogError(message.format(row=row, value=value, count=len(wrong)))

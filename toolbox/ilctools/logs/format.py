@@ -1,6 +1,6 @@
 """The trial log as text: lines `# key: value`, a line of titles, rows; see data/README.md.
 
-Which columns it has, :func:`columns_of` says to those who write it and to those who read it.
+:func:`columns_of` defines the columns, both for writing and for reading.
 """
 
 import json
@@ -19,38 +19,40 @@ from ilctools.files import keep_others, write_pieces
 from ilctools.law.notes import is_newer
 from ilctools.signals import ASKED, SIGNALS, period_of, points_of, roles_of
 
-# the second where the note of L `is_newer`, the third where v is of inputs
+# The second is for an L whose note `is_newer`. The third is for a v that has channels of inputs.
 LOG_FORMATS = ("rodlib trial log 2", "rodlib trial log 3", "rodlib trial log 4")
-RESERVED_KEYS = ("format", "Ts", "signals", ASKED)  # of the metadata that are not free
-OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
+RESERVED_KEYS = ("format", "Ts", "signals", ASKED)  # keys that free metadata must not have
+OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group, or none
 
 _message = Repr()
 _message.maxlist, _message.maxstring = 18, 80
-few = _message.repr  # a list of names as a message has it
+few = _message.repr  # shortens a list of names for a message
 
 
 def save_log(trials: xr.Dataset, path) -> None:
-    """Save trials as a log, also in the place of one, which is replaced as a whole or not at all.
+    """Save trials as a log.
+
+    A log that is already at this path is replaced as a whole or not at all.
 
     Parameters
     ----------
     trials : xarray.Dataset
-        From :func:`ilctools.run_trials`, :func:`ilctools.record` or :func:`load_log`. `e` is not
-        written: it is reference - y. Attributes become metadata: a line of text as it is, all else
-        as JSON.
+        Trials from :func:`ilctools.run_trials`, :func:`ilctools.record` or :func:`load_log`. The
+        error `e` is not written, because e = reference - y. Attributes become metadata. A line of
+        text is written unchanged, and any other value as JSON. Other variables, coordinates and
+        attributes of signals are not written.
     path : path-like
 
     Raises
     ------
     ValueError
-        If a signal or an attribute is not what :func:`load_log` would give back (other variables,
-        coordinates and attributes of signals are not written); if a file that does not begin as a
-        log is there, such as raw data.
+        If :func:`load_log` would not give back a signal or an attribute unchanged. If the path
+        holds a file that does not begin as a log, such as raw data.
 
     See Also
     --------
-    load_log : to read it
-    record : what writes one itself, by `path`
+    load_log : reads a log
+    record : writes a log itself, with `path`
 
     Examples
     --------
@@ -72,7 +74,7 @@ def save_log(trials: xr.Dataset, path) -> None:
 
 
 def write_log(trials: xr.Dataset, path) -> None:
-    """Write a log, whatever is there."""
+    """Write a log, even if the path holds another file."""
     signals, Ts = signals_of(trials), period_of(trials)
     format_number = 2 if "inputs" in signals else is_newer(str(trials.attrs.get("L")))
     metadata = {
@@ -101,7 +103,7 @@ def write_log(trials: xr.Dataset, path) -> None:
 
 
 def _points_note(trials):
-    """Samples at which something is asked, by output, if it is not at all."""
+    """The samples with a reference, by output; {} if the reference covers all samples."""
     points = points_of(trials)
     if points is None:
         return {}
@@ -111,15 +113,15 @@ def _points_note(trials):
 
 
 def rows_as_text(number: int, times, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
-    """The rows of a trial in a log, from its signals (time, channel)."""
+    """Yield the rows of a trial in a log, from its signals (time, channel)."""
     for row in np.column_stack([times, *signals]).tolist():
-        time.sleep(0)  # lets another thread go on, in which a sample of a rig may be due
-        # each number with the fewest digits that give it back exactly
+        time.sleep(0)  # lets another thread continue, in which a sample of a rig may be due
+        # repr gives each number the fewest digits that restore the number exactly
         yield f"{number},{','.join(map(repr, row))}\n".encode()
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
-    """Names and units of the signals by role, as in the metadata; refuses incomplete trials."""
+    """Return names and units of the signals by role, as in the metadata; refuse missing signals."""
     role_of = roles_of("input" in trials.coords)
     roles = dict.fromkeys(role_of[signal] for signal in SIGNALS if signal in trials)
     needed = {"y", "trial", "time", *needed, *roles, *(f"{role}_unit" for role in roles)}
@@ -137,7 +139,7 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
 
 
 def check_signals(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """The unit of each signal, by its name; a ValueError if a log cannot have such signals."""
+    """Return the unit of each signal by name; a ValueError if a log cannot have these signals."""
     units = {}
     for role, names in arguments.instance("signals", signals, dict).items():
         arguments.choice("a key of signals", role, [*ROLES.values()])
@@ -158,9 +160,9 @@ def check_signals(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
 
 
 def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]:
-    """Titles of the columns beside trial and time, by signal, in their order in a log.
+    """Return the titles of all columns except trial and time, by signal, in the order of a log.
 
-    Of the signals that are optional it has those of which one of the group is present.
+    If one signal of an optional group is present, a log has all signals of this group.
     """
     absent = [name for group in OPTIONAL if {*group}.isdisjoint(present) for name in group]
     return {
@@ -171,12 +173,12 @@ def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]
 
 
 def _quoted(title):
-    """A title as csv has it; with # as well, which pandas takes for the start of a comment."""
+    """Quote a title for CSV, also a title with #, at which pandas would start a comment."""
     return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 
 def _free_metadata(attributes):
-    """All attributes but Ts, as the text of a line each."""
+    """Turn all attributes except Ts into text, one line for each."""
     metadata = {}
     for key, value in attributes.items():
         if key == "Ts":
@@ -190,7 +192,7 @@ def _free_metadata(attributes):
 
 
 def _numbers_and_times(trials):
-    """The numbers of trials, and the times of samples."""
+    """Return the numbers of the trials and the times of the samples, both checked."""
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
     times = trials.time.values.astype(float)
     if len(set(numbers)) < len(numbers) or not trials.y.size or times[0] != 0:

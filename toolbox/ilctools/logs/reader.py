@@ -1,4 +1,4 @@
-"""Reading logs: their metadata, their rows by pandas, trials with the clock that they need."""
+"""Reading of logs: the metadata, the rows by pandas, and trials with a checked clock."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ from ilctools.logs.format import LOG_FORMATS, RESERVED_KEYS, check_signals, colu
 from ilctools.signals import ASKED, dataset, with_points
 from ilctools.warn import warn
 
-# of pandas, which then warns of rows that are longer than the titles, and shifts no column
+# With these options pandas warns of rows that are longer than the titles, and shifts no column.
 OPTIONS = {"skipinitialspace": True, "index_col": False}
 
 
@@ -36,28 +36,29 @@ def load_log(path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        As :func:`ilctools.run_trials` gives it, in the units and with the numbers of the trials of
-        the file; of ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
-        ``measured`` what it has. The metadata are attributes; ``clock`` says how an inexact
-        clock ran, see :func:`read_table`.
+        Trials as from :func:`ilctools.run_trials`, in the units of the file and with its numbers of
+        trials. The signals ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
+        ``measured`` are there if the file has them. The metadata are attributes. If the clock was
+        inexact, the attribute ``clock`` describes it, see :func:`read_table`.
 
     Raises
     ------
     LogError
-        The first thing that is wrong, with its metadata or its row: 0 is the first one below the
-        titles. For a file that is no text in UTF-8, the error says what to do.
+        If something is wrong with the file. The error names the first mistake with its metadata or
+        its row; row 0 is the first one below the titles. If the file is not text in UTF-8, the
+        error says what to do.
 
     Warns
     -----
     UserWarning
-        If the last trial is shorter than the first, or the last line has no line feed, as a power
-        cut leaves them: they are left out.
+        If the last trial is shorter than the first, or if the last line has no line feed. A power
+        cut may cause both. The incomplete trial or line is left out.
 
     See Also
     --------
-    save_log : to write it
-    read_table : of other programs
-    replay : what it says of the law
+    save_log : writes a log
+    read_table : reads tables of other programs
+    replay : compares a log with its law
 
     Examples
     --------
@@ -76,9 +77,9 @@ def load_log(path) -> xr.Dataset:
 
 
 def read_log(path: Path, ended: bool = False) -> xr.Dataset:
-    """As :func:`load_log`; if `ended`, without a warning of a last line that is torn."""
+    """Read a log as :func:`load_log` does; if `ended`, without the warning of a torn last line."""
     with about(path):
-        # a line that is whole has a line feed
+        # a complete line ends with a line feed
         file = regular(path)
         remedy = "a program that opened the log may have saved it anew. Save it as UTF-8"
         with text_in("utf-8", remedy):
@@ -114,7 +115,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
 
 
 def _with_points_from(note, trials):
-    """Trials with the points that were noted."""
+    """Add to trials the points that the metadata note."""
     points = np.zeros(trials.y.shape[1:], dtype=bool)
     with reading(ASKED):
         for name, samples in json.loads(note).items():
@@ -124,7 +125,7 @@ def _with_points_from(note, trials):
 
 @contextmanager
 def about(path) -> Iterator[None]:
-    """Turn what is wrong with a file into a LogError that names it, in a few printable words."""
+    """Turn errors about a file into a LogError that names the file, in a few printable words."""
     try:
         yield
     except OSError as error:
@@ -135,7 +136,7 @@ def about(path) -> Iterator[None]:
 
 
 def _metadata(lines):
-    """The metadata above the titles."""
+    """Read the metadata above the titles."""
     metadata = {}
     for line in takewhile(lambda line: line.startswith("#") or not line.strip(), lines):
         key, mark, value = map(str.strip, line[1:].partition(":"))
@@ -147,7 +148,7 @@ def _metadata(lines):
 
 
 def _period(metadata):
-    """The sampling period and the unit of time, both in s."""
+    """Read the sampling period and the unit of time, both in s."""
     note = metadata.get("Ts", "")
     value, *unit = note.split() or [note]
     if len(unit) != 1:
@@ -160,7 +161,7 @@ def _period(metadata):
 
 
 def value_of(entry) -> float:
-    """The number that an entry is, to the last digit; NaN if it is none, such as 1_000 or ٣."""
+    """Return an entry as a number; NaN if it is no number in ASCII, such as 1_000 or ٣."""
     try:
         text = str(entry)
         return float(entry) if text.isascii() and "_" not in text else np.nan
@@ -169,7 +170,7 @@ def value_of(entry) -> float:
 
 
 def numbers_in(column: pd.Series) -> pd.Series:
-    """The numbers in a column; a LogError for the first entry that is none."""
+    """Return the numbers in a column; a LogError for the first entry that is no finite number."""
     numbers = column.map(value_of).astype(float)
     wrong = column[~np.isfinite(numbers)]
     if len(wrong):
@@ -182,7 +183,7 @@ def numbers_in(column: pd.Series) -> pd.Series:
 
 
 def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]]:
-    """The columns by signal; a LogError if a log of these signals has others."""
+    """Return the columns by signal; a LogError if a log of these signals needs other columns."""
     columns = columns_of(signals, [title.partition("_")[0] for title in header])
     titles = ["trial", "time", *chain(*columns.values())]
     if sorted(header) != sorted(titles):
@@ -195,7 +196,7 @@ def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]
 
 
 def trials_of(table: pd.DataFrame, signals: Mapping, Ts: float, notes: dict) -> xr.Dataset:
-    """Trials from a table with the columns of a log, and the time in s."""
+    """Make trials from a table with the columns of a log and the time in s."""
     columns = check_titles([*table], signals)
     notes |= check_trials(table, Ts)
     trial = table["trial"].unique().astype(int)

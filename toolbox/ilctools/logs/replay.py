@@ -1,7 +1,7 @@
-"""A log, run again through its law and its loop: does the recorded v follow from the law?
+"""Replay of a log with its law and its loop: does the recorded v follow from the law?
 
-The law and the loop are those in the metadata of the log. Without them, what needs them is left
-out, with the reason.
+The law and the loop are taken from the metadata of the log. If they are missing, the results that
+need them are left out, and the reason is printed.
 """
 
 import warnings
@@ -29,15 +29,16 @@ from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
 from ilctools.warn import warn
 
-UNSTABLE_POLE = 1 + 1e-9  # its modulus; an integrator's is one up to rounding
-DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
+UNSTABLE_POLE = 1 + 1e-9  # modulus of an unstable pole; an integrator has one up to rounding
+DIGITS = 1e-5  # share of the largest v of an output: logs may hold few digits of v
 
 
 @dataclass(frozen=True)
 class Replay:
-    """A log, and what its law and its loop make of it. Made by :func:`replay`; print it.
+    """A log, compared with its law and with the model of its loop.
 
-    What a law or a loop is needed for is None without it.
+    :func:`replay` makes a Replay; print it to see all results. A result is None if it needs a law
+    or a loop that the log does not name.
     """
 
     trials: xr.Dataset  # in the order of their numbers
@@ -47,7 +48,7 @@ class Replay:
 
     @property
     def between(self) -> str:
-        """What makes v where the reference changes."""
+        """What computes v if the reference changes: the law or :func:`ilctools.transfer`."""
         return self.trials.attrs.get(BETWEEN, BETWEEN_TRIALS[0])
 
     @property
@@ -67,14 +68,14 @@ class Replay:
 
     @property
     def model(self) -> control.StateSpace | None:
-        """Model of what the commands drive: the plant; of a ClosedLoop P, whose input is w."""
+        """The model that the commands drive: the plant, or for a ClosedLoop P with the input w."""
         if self.loop is None:
             return None
         return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
 
     @cached_property
     def disturbance(self) -> np.ndarray:
-        """What was recorded of the loop's disturbances, shape (trial, time, d); zero of others."""
+        """The loop's disturbances, (trial, time, d); zero for those that were not recorded."""
         names = self.loop.disturbances
         if "disturbance" not in self.trials:
             return np.zeros((*self.trials.e.shape[:2], len(names)))
@@ -82,11 +83,11 @@ class Replay:
 
     @cached_property
     def simulated(self) -> xr.Dataset | None:
-        """The same experiment on the model: the law, the references and the disturbances."""
+        """The same trials on the model, simulated with the same law, references, disturbances."""
         complete = self.numbers == [*range(1, len(self.numbers) + 1)]
         if self.law is None or self.model is None or not complete:
             return None
-        with warnings.catch_warnings(action="ignore"):  # the log's own count
+        with warnings.catch_warnings(action="ignore"):  # only warnings about the log itself count
             return run_trials(
                 self.loop,
                 self.law,
@@ -102,7 +103,7 @@ class Replay:
     def predicted(self) -> np.ndarray | None:
         """Outputs of the model, from rest, under the recorded inputs, without feedback.
 
-        None of an unstable model; an integrator counts as stable.
+        None if the model is unstable; an integrator counts as stable.
         """
         if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE_POLE:
             return None
@@ -122,7 +123,8 @@ class Replay:
     def fit(self) -> pd.DataFrame | None:
         """1 - ||y - y-hat|| / ||y - mean y|| by trial and output: 1 is a perfect prediction.
 
-        Below a half the loop is hardly that of the log, or what moves the output was not recorded.
+        If the fit is below a half, the loop is probably wrong for this log, or a signal that moves
+        the output was not recorded.
         """
         if self.predicted is None:
             return None
@@ -133,9 +135,10 @@ class Replay:
 
     @cached_property
     def expected(self) -> list[tuple[np.ndarray, Step | None]] | None:
-        """v of each trial by the law, NaN where the trial before is missing, and its step.
+        """The v of each trial as the law computes it, and the step that keeps limits of outputs.
 
-        None without a law, and of trials without reset.
+        The v is NaN if the trial before is missing. The result is None without a law, and for
+        trials without reset.
         """
         if self.law is None or not self.resets:
             return None
@@ -152,9 +155,10 @@ class Replay:
 
     @property
     def departure(self) -> pd.DataFrame | None:
-        """Largest distance of v from that of the law; NaN where the trial before is missing.
+        """Largest distance between the recorded v and the v of the law, by trial and channel.
 
-        None without a law, and of trials without reset.
+        The distance is NaN if the trial before is missing. The result is None without a law, and
+        for trials without reset.
         """
         if self.expected is None:
             return None
@@ -163,9 +167,10 @@ class Replay:
 
     @property
     def kept(self) -> pd.DataFrame | None:
-        """How far limited outputs stayed from their limits, and alpha of the step before.
+        """Distance of limited outputs from their limits, and alpha of the step before each trial.
 
-        A negative distance is beyond a limit. None without limits of outputs.
+        A negative distance means that the output exceeded a limit. The result is None without
+        limits of outputs.
         """
         limits = getattr(self.law, "output_limits", None)
         if limits is None or self.expected is None:
@@ -176,14 +181,15 @@ class Replay:
         return table.add_suffix(" to its limit").assign(alpha=alpha)
 
     def _by_trial(self, values, names=None):
-        """A table of values (trial, output), or of other channels by their names."""
+        """Make a table of values (trial, output); `names` are the names of other channels."""
         return pd.DataFrame(values, pd.Index(self.numbers, name="trial"), names or self.outputs)
 
     @property
     def following(self) -> np.ndarray | None:
         """The v to apply in the trial after the last one, shape (time, m).
 
-        Without reset, of its first samples, as far as it follows from the trials.
+        Without reset, only the first samples are returned, as far as the recorded trials determine
+        v.
         """
         if self.law is None:
             return None
@@ -192,14 +198,14 @@ class Replay:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against the convergence of the trials."""
+        """The warnings of :func:`.diagnose` about the convergence of the trials."""
         if self.law is None or np.any(np.diff(self.numbers) > 1):
             return ()
         return tuple(diagnose(self.trials, self.law).values())
 
     @property
     def rms(self) -> pd.DataFrame:
-        """RMS(e_k) by trial, of the log and of the simulation; a column for each unit."""
+        """RMS(e_k) by trial, in the log and in the simulation; a column for each unit."""
         table = rms_by_trial(self.trials.e)
         if self.simulated is None:
             return table
@@ -208,7 +214,7 @@ class Replay:
 
     @property
     def agreement(self) -> str:
-        """Whether the recorded v is that of the law, in words."""
+        """A sentence on whether the recorded v agrees with the law."""
         if self.law is None:
             return "the log does not name its law, by Q and L, and with limits the loop"
         if not self.resets:
@@ -228,7 +234,7 @@ class Replay:
 
     @property
     def omissions(self) -> list[str]:
-        """What is left out, and why."""
+        """The results that are left out, each with its reason."""
         reasons = []
         if self.simulated is None:
             reasons.append(
@@ -262,7 +268,7 @@ class Replay:
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
-    """RMS(e_k), :func:`ilctools.rms`, by trial; a column for each unit of the outputs."""
+    """Tabulate RMS(e_k), :func:`ilctools.rms`, by trial; a column for each unit of the outputs."""
     groups, columns = by_unit(e.output_unit.values.tolist()), {}
     for unit, channels in groups.items():
         names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""
@@ -276,8 +282,8 @@ def replay(trials: xr.Dataset) -> Replay:
     Parameters
     ----------
     trials : xarray.Dataset
-        From :func:`ilctools.load_log` or :func:`ilctools.record`. The error is taken as reference
-        less y.
+        A log from :func:`ilctools.load_log` or :func:`ilctools.record`. The error is taken as
+        reference - y.
 
     Returns
     -------
@@ -290,8 +296,8 @@ def replay(trials: xr.Dataset) -> Replay:
 
     See Also
     --------
-    load_log : a log
-    run_trials : trials that are only simulated
+    load_log : loads a log
+    run_trials : simulates trials
 
     Examples
     --------
@@ -314,7 +320,7 @@ def replay(trials: xr.Dataset) -> Replay:
     6 trials of 200 samples, Ts = 0.01 s
     """
     arguments.instance("trials", trials, xr.Dataset)
-    signals_of(trials, "reference", "v")  # which checks that it has all that a log has
+    signals_of(trials, "reference", "v")  # checks that all signals of a log are there
     trials = trials.sortby("trial").transpose("trial", "time", ...)
     error, points = trials.reference - trials.y, points_of(trials)
     trials = with_points(trials.assign(e=error.assign_attrs(trials.y.attrs)), points)
@@ -322,7 +328,7 @@ def replay(trials: xr.Dataset) -> Replay:
     if points is not None and law is not None:
         law = asking(law, points)
     if law is not None and law.known_limits and (loop is None or loop.asked(trials) is None):
-        law = None  # whose projection cannot be computed
+        law = None  # because its projection cannot be computed
     result = Replay(trials, loop, law, resets=RESET not in trials.attrs)
     for text in result.warnings:
         warn(text)

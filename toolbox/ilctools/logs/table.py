@@ -1,4 +1,4 @@
-"""Tables that other programs wrote: pandas reads them, here their columns get names."""
+"""Tables that other programs wrote: pandas reads them, and this module names their columns."""
 
 import re
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ from ilctools.logs.format import check_signals, few
 from ilctools.logs.reader import OPTIONS, about, numbers_in, trials_of
 from ilctools.signals import SIGNALS
 
-SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
-Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
+SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # by argument
+Columns = Mapping[str, str | int]  # titles or numbers of columns, by the names of their signals
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
-# of a clock's title, "t_ms", with either mu
+# the unit at the end of a clock's title, as in "t_ms", with either of the two characters mu
 ENDING_IN_UNIT = re.compile(
     r"(?i)(?:\b|_)((?:[nuµ\u03bcm]|milli|micro)?s(?:ec(?:ond)?s?)?|min(?:ute)?|hr?|hour|day)s?\s*$"
 )
@@ -53,7 +53,8 @@ def read_table(
     outputs : dict
         The column of each controlled output, by the name that the output gets.
     inputs : dict, optional
-        The column of the actuator that controls each output, in their order. Default: not known.
+        The column of the actuator that controls each output, in the order of the outputs. Default:
+        not known.
     time : str or int, optional
         Column of the clock. Without it, rows are `Ts` apart. The clock has numbers in the unit of
         its title, such as "t (ms)" or "t_ms", or in the unit that `units` gives; the default is s.
@@ -82,7 +83,7 @@ def read_table(
     -------
     xarray.Dataset
         A log as from :func:`load_log`, for :func:`save_log`, :func:`measured_response` and
-        :func:`replay`. It has ``reference``, ``v`` and ``e`` only if there is a reference.
+        :func:`replay`. The log has ``reference``, ``v`` and ``e`` only if there is a reference.
 
     Raises
     ------
@@ -93,14 +94,14 @@ def read_table(
 
     See Also
     --------
-    load_log : in the format of this package
-    measured_response : P from it
+    load_log : reads the format of this package
+    measured_response : estimates P from a log
 
     Notes
     -----
     Clocks jitter. Each step may differ from `Ts` by 10 %, and the mean step by 1 %. The samples
-    then count as `Ts` apart, and the attribute ``clock`` says how the clock ran. Interpolate rows
-    that are lost or late before.
+    then count as `Ts` apart, and the attribute ``clock`` says how the clock ran. If rows are lost
+    or late, interpolate the table before reading it.
 
     Examples
     --------
@@ -143,7 +144,7 @@ def _asked(**columns):
 
 
 def _frame_of(source, options):
-    """What pandas reads of a text file, or has read, and a note on where it is from."""
+    """Return the table that pandas reads, or has read, and a note on its origin."""
     if isinstance(source, pd.DataFrame):
         return pd.DataFrame(source, **options), {}
     remedy = "pass read_table(..., encoding='cp1252'), or what else it is in, such as 'utf-16'"
@@ -153,7 +154,7 @@ def _frame_of(source, options):
 
 
 def _signals(frame, asked, units):
-    """The numbers that were asked for in the columns of a log, and its signals by role."""
+    """Return the requested numbers in the columns of a log, and the signals of the log by role."""
     table, signals = pd.DataFrame(index=frame.index), {}
     for argument, columns in asked.items():
         signal = SIGNAL_OF.get(argument, argument)
@@ -171,7 +172,7 @@ def _signals(frame, asked, units):
 
 
 def _column(frame, argument, column):
-    """A column that an argument asks for by its number or title, and the unit in its title."""
+    """Find a column by its number or title; return the column and the unit in its title."""
     titles = [*map(str, frame.columns)]
     parts = [WITH_UNIT.fullmatch(title).groups("") for title in titles]
     for written in (range(len(titles)), titles, [name for name, _ in parts]):
@@ -185,7 +186,7 @@ def _column(frame, argument, column):
 
 
 def _clock(frame, trial, time, unit, Ts):
-    """The number of the trial of each row, from 1 on, and the time since it began, in s."""
+    """Return the trial number of each row, from 1 on, and the time since the trial began, in s."""
     number = pd.Series(1.0, frame.index)
     if trial is not None:
         number = numbers_in(_column(frame, "trial", trial)[0])

@@ -1,1 +1,1 @@
-"""The loops that are learned on: designed here, or closed by a controller that is not ours."""
+"""The loops to which learning is applied: designed here, or closed by another controller."""

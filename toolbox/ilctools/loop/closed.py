@@ -1,8 +1,9 @@
 """Loops as objects: the current-trial loop with its P, and loops whose controller is not ours.
 
-Section III, (16)-(19), (30)-(32): the plant, an observer that also estimates the equivalent input
-disturbance, and a state feedback. What a model gets wrong is seen with the same controller around
-another plant. How the gains are designed is in :mod:`ilctools.loop.design`.
+The current-trial loop is from Section III, (16)-(19), (30)-(32). It consists of the plant, a state
+feedback, and an observer that also estimates the equivalent input disturbance. To see the effect of
+model errors, put the same controller around another plant. The gains are designed in
+:mod:`ilctools.loop.design`.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from ilctools.signals import Signals, check_match
 
 
 class Feedback(NamedTuple):
-    """K and N of the commands u = K x + N v, with x for the states of P_v."""
+    """K and N of the commands u = K x + N v, where x are the states of P_v."""
 
     K: np.ndarray  # (commands, states)
     N: np.ndarray  # (commands, m)
@@ -27,12 +28,14 @@ class Feedback(NamedTuple):
 
 @runtime_checkable
 class Loop(Protocol):
-    """The contract of a loop that is learned on: signals w = F r + G v go in, outputs y come out.
+    """The interface of a loop to which learning is applied.
 
-    :class:`CurrentTrialLoop` and :class:`ClosedLoop` keep it. So may a class of yours: laws,
-    simulated trials, rigs and measurements ask a loop for nothing else. A log does not note it. Two
-    loops are the same if all fields of a dataclass are, or else by ``==``. Signals have the shape
-    (..., time, channel), in the order of the names and in their units.
+    Signals w = F r + G v go in, and outputs y come out. :class:`CurrentTrialLoop` and
+    :class:`ClosedLoop` have this interface. A class of yours may have it, too: laws, simulated
+    trials, rigs and measurements use nothing else of a loop. A log does not store a loop of your
+    class. Two loops of one dataclass are the same if all their fields are equal. Other loops are
+    compared by ``==``. Signals have the shape (..., time, channel), in the order of the names and
+    in their units.
     """
 
     @property
@@ -53,11 +56,11 @@ class Loop(Protocol):
 
     @property
     def one_for_one(self) -> bool:
-        """Whether v is added to the references, one for each output in their order."""
+        """Whether v is added to the references: one channel for each output, in their order."""
 
     @property
     def commands(self) -> list[str]:
-        """Names of what is sent to the rig, or of the inputs w of its controller."""
+        """Names of the signals that are sent to the rig, or of the inputs w of its controller."""
 
     @property
     def controls(self) -> Sequence[str]:
@@ -69,7 +72,7 @@ class Loop(Protocol):
 
     @property
     def units(self) -> dict[str, str]:
-        """Of all of these signals by name, "" where not known."""
+        """Units of all these signals by name; "" for a unit that is not known."""
 
     @property
     def P_v(self) -> control.StateSpace | None:
@@ -77,36 +80,47 @@ class Loop(Protocol):
 
     @property
     def P_r(self) -> control.StateSpace | None:
-        """That from r to y."""
+        """The model from r to y; None if it is not known."""
 
     def feedback(self) -> Feedback:
-        """How commands follow from v and the states of P_v, of a loop that has it."""
+        """Return how the commands depend on v and on the states of P_v; the loop must have P_v."""
 
     def w(self, reference, v) -> np.ndarray:
-        """The inputs w, shape (..., inputs), of a reference (..., p) and a signal v (..., m)."""
+        """Compute the inputs w (..., inputs) from a reference (..., p) and a signal v (..., m)."""
 
     def asked(self, signals) -> np.ndarray | None:
-        """The commands of a trial, (..., commands), from its signals by name; None: not known."""
+        """Return the commands of a trial, (..., commands), from its signals by name, or None.
+
+        None means that the commands are not known.
+        """
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """The v, (..., m), with which the loop would have asked for `applied` in the place of u.
+        """Compute the v, (..., m), with which the loop would have asked for `applied`, not for u.
 
-        Both are commands of shape (..., commands). Where they are equal, it is v itself.
+        Both `u` and `applied` are commands of shape (..., commands). Where they are equal, the
+        result is v.
         """
 
     def model(self, plant=None) -> control.StateSpace:
-        """The model from w to y, with another plant in the place of its own; a ValueError: none."""
+        """Return the model from w to y, with the loop's plant or another one.
+
+        Raises a ValueError if there is no model.
+        """
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """From v to y at `omega` (rad/s, shape (n,)), (n, p, m), complex; `plant` as in `model`."""
+        """Compute the complex response from v to y, (n, p, m), at `omega` (rad/s, shape (n,)).
+
+        The argument `plant` is as in :meth:`model`.
+        """
 
 
 @dataclass(frozen=True)
 class CurrentTrialLoop:
-    """The feedback loop (19) and what it is made of. Arrays are in the order of `plant`.
+    """The feedback loop (19): plant, state feedback, observer and feedforward.
 
-    Only shapes are checked here. :func:`current_trial_loop` also checks that loop and observer are
-    stable, and that the controls do not act on y at once.
+    Arrays are in the order of the signals of `plant`. Only shapes are checked here.
+    :func:`current_trial_loop` also checks that loop and observer are stable, and that the controls
+    do not act on y within the same sample.
 
     Attributes
     ----------
@@ -159,33 +173,33 @@ class CurrentTrialLoop:
 
     @property
     def learned(self) -> list[str]:
-        """Names of the inputs that v is added to: all."""
+        """Names of the inputs that v is added to: all inputs."""
         return self.inputs
 
     @property
     def one_for_one(self) -> bool:
-        """Whether v is added to the references, one for each output in their order."""
+        """Whether v is added to the references: one channel for each output, in their order."""
         return True
 
     @property
     def commands(self) -> list[str]:
-        """Names of what is sent to the actuators: the controls."""
+        """Names of the signals that are sent to the actuators: the controls."""
         return self.controls
 
     def w(self, reference, v) -> np.ndarray:
-        """The inputs w = r + v, (22)."""
+        """Compute the inputs w = r + v, (22)."""
         return reference + v
 
     def asked(self, signals) -> np.ndarray | None:
-        """The commands of a trial, by name those of `commands`: its controls u, if it has them."""
+        """Return the commands of a trial, which are its controls u; None if u was not recorded."""
         return signals.get("u")
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """The v with which the loop would have asked for what was applied, instead of u.
+        """Compute the v with which the loop would have asked for `applied`, not for u.
 
-        Where the observer (16) is informed of what was applied, a trial cut off by actuators is
-        exactly a trial with this v without limits, whatever the plant: u = N w - K_s x-hat - delta,
-        (18).
+        Let the observer (16) get the applied commands. Then a trial with saturated actuators is
+        exactly a trial without limits and with this v. This holds for any plant and follows from
+        u = N w - K_s x-hat - delta, (18).
         """
         try:
             return v + (applied - u) @ np.linalg.inv(self.N).T
@@ -215,44 +229,46 @@ class CurrentTrialLoop:
         return self.P
 
     def feedback(self) -> Feedback:
-        """Of the commands u = N w - K_s x, (18) without a disturbance."""
+        """Return K and N of the commands u = N w - K_s x, (18) without a disturbance."""
         return Feedback(-self.Ks, self.N)
 
     @cached_property
     def closed(self) -> control.StateSpace:
         """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
 
-        Its frequency response from w is P of (31), and from d it is P-tilde of (32).
+        The frequency response from w is P of (31), and the response from d is P-tilde of (32).
         """
         return _from_w_and_d(self)
 
     def around(self, plant: Model) -> control.StateSpace:
-        """The loop (19) of the same controller around another plant, if it is stable.
+        """Return the loop (19) of the same controller around another plant, if it is stable.
 
-        As `closed`, but the first states are those of `plant`, a model of any order. Its signals
-        are matched by name: it must have the loop's controls and outputs, and a disturbance that it
-        lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
+        The result is like :attr:`closed`, but the first states belong to `plant`, a model of any
+        order. The signals of `plant` are matched by name. The plant must have the loop's controls
+        and outputs. A disturbance that the plant lacks has no effect. Signals of the plant that the
+        loop does not have are left out. Feedthrough is allowed.
         """
         return _from_w_and_d(self, plant)
 
     def model(self, plant: Model | None = None) -> control.StateSpace:
-        """P, or the transfer function from w to y around another plant."""
+        """Return P, or the transfer function from w to y around another plant."""
         return self.P if plant is None else self.around(plant)[:, self.inputs]
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """P of (31), of the loop as designed or of the same controller around another plant.
+        """Compute P of (31) for the loop as designed, or for its controller around another plant.
 
-        Around another plant the observer does not drop out: w excites the estimation error.
+        Around another plant, w excites the estimation error. The observer then affects P.
 
         Parameters
         ----------
         omega : array_like, shape (n,)
             Angular frequencies, rad/s.
         plant : control.StateSpace, control.TransferFunction or array_like, optional
-            A model as in :meth:`around`, or samples of shape (n, m, m) of a sampled plant's
-            response on `omega`, from the controls to y in the loop's order: those of
-            theory, or measured; (..., n, m, m) for several plants. Samples do not say whether the
-            loop is stable; that is then for the caller to know. Default: the plant of the design.
+            A model as in :meth:`around`, or samples of a sampled plant's response on `omega`. The
+            samples are from the controls to y in the loop's order, shape (n, m, m), computed or
+            measured. For several plants, the shape is (..., n, m, m). Samples do not show whether
+            the loop is stable; the caller must know that the loop is stable. Default: the plant of
+            the design.
 
         Returns
         -------
@@ -265,7 +281,7 @@ class CurrentTrialLoop:
         G = arguments.array("plant", plant, (..., len(omega), m, m), complex)
         # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
         # the design, the observer sees (G - G_0) u more than it expects: u = U w + R (G - G_0) u.
-        # It is computed from that loop, and not from the controller alone, which integrates.
+        # U and R are computed from that loop, and not from the controller alone, which integrates.
         replies = frequency_response(whole_loop(self)[m:, :], omega)
         U, R = replies[..., :m], replies[..., -m:]
         G_0 = frequency_response(self.plant[:, :m], omega)
@@ -279,19 +295,19 @@ def _inputs_of(outputs):
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A loop whose controller is not ours, such as a PID in a PLC. It takes w, and y follows w.
+    """A loop whose controller is not ours, such as a PID in a PLC; its outputs y follow w.
 
     Each input w takes the reference r of an output, a learned signal v, or both,
 
         w = F r + G v,
 
-    with F and G of zeros and ones. Usually there is one input for each output, and w = r + v. A
-    torque that is added to the command of a controller is an input that takes v alone. There may be
-    more outputs than learned inputs, or fewer.
+    where F and G consist of zeros and ones. Usually there is one input for each output, and
+    w = r + v. A torque that is added to the command of a controller is an input that takes v alone.
+    There may be more outputs than learned inputs, or fewer.
 
     Nothing else is assumed of the loop, not even that P(0) = I. Without P, the loop can be run, and
-    P can be measured by :func:`shake`. With P, the loop can be simulated, and filters can be
-    designed for it.
+    P can be measured by :func:`shake`. With P, the loop can be simulated, and learning filters can
+    be designed.
 
     Attributes
     ----------
@@ -336,7 +352,7 @@ class ClosedLoop:
     """
 
     P: Model = None
-    Ts: float = None  # of P; once the loop is made, a number, and the next are names
+    Ts: float = None  # the period of P; once the loop is made, Ts is a number, the next are names
     outputs: Sequence[str] = None
     references: dict[str, str] = None
     learned: Sequence[str] = None
@@ -364,7 +380,7 @@ class ClosedLoop:
         if P is not None:
             check_match(P=P, loop=Signals(Ts, labels=outputs))
         vars(self).update(P=P, references=references, learned=learned, outputs=outputs)
-        # a v that is added to references has their units
+        # a v that is added to references has the units of the outputs
         others = [] if self.one_for_one else [name for name in self.inputs if name not in outputs]
         signals = [*outputs, *others, *controls, *disturbances]
         vars(self).update(
@@ -376,7 +392,7 @@ class ClosedLoop:
         )
 
     def _channels(self, P, outputs):
-        """Names of the inputs, whose reference each takes, and which of them are learned."""
+        """Names of the inputs, the reference that each takes, and the names of learned inputs."""
         references, learned = self.references, self.learned
         if P is not None:
             inputs = arguments.different("inputs of P", P.input_labels)
@@ -420,37 +436,37 @@ class ClosedLoop:
 
     @property
     def one_for_one(self) -> bool:
-        """Whether v is added to the references, one for each output in their order."""
+        """Whether v is added to the references: one channel for each output, in their order."""
         own = [self.references.get(name) for name in self.inputs]
         return self.learned == self.inputs and own == self.outputs
 
     @cached_property
     def F(self) -> np.ndarray:
-        """Which input takes the reference of which output, (inputs, p), of zeros and ones."""
+        """The matrix F, (inputs, p): one where an input takes the reference of an output."""
         return np.array([[self.references.get(i) == o for o in self.outputs] for i in self.inputs])
 
     @cached_property
     def G(self) -> np.ndarray:
-        """Which input takes which channel of v, (inputs, m), of zeros and ones."""
+        """The matrix G, (inputs, m): one where an input takes a channel of v."""
         return np.array([[i == name for name in self.learned] for i in self.inputs])
 
     @property
     def commands(self) -> list[str]:
-        """Names of what is sent to the rig: w."""
+        """Names of the signals that are sent to the rig: the inputs w."""
         return self.inputs
 
     def w(self, reference, v) -> np.ndarray:
-        """The inputs w = F r + G v, shape (..., inputs), of r (..., p) and v (..., m)."""
+        """Compute the inputs w = F r + G v, shape (..., inputs), from r (..., p) and v (..., m)."""
         return np.asarray(reference) @ self.F.T + np.asarray(v) @ self.G.T
 
     def asked(self, signals) -> np.ndarray:
-        """The commands of a trial, by name those of `commands`: its w = F r + G v."""
+        """Return the commands of a trial, which are its inputs w = F r + G v."""
         return self.w(signals["reference"], signals["v"])
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """The v with which the loop would have asked for what was applied, instead of u.
+        """Compute the v with which the loop would have asked for `applied`, not for u.
 
-        What is cut off of an input that takes a reference alone, no v makes up for.
+        If an input that takes a reference alone saturates, no v can replace what is lost.
         """
         return v + (applied - u) @ self.G  # v itself where nothing was cut off
 
@@ -465,11 +481,11 @@ class ClosedLoop:
         return None if self.P is None else self.P * self.F
 
     def feedback(self) -> Feedback:
-        """Of the commands w: they do not depend on the states."""
+        """Return K and N of the commands w; K is zero, as w does not depend on the states."""
         return Feedback(np.zeros((len(self.inputs), self.P.nstates)), self.G)
 
     def model(self, plant=None) -> control.StateSpace:
-        """P, or `plant` in its place, which is another model from w to y."""
+        """Return P, or `plant` in its place, which is another model from w to y."""
         if plant is None and self.P is None:
             raise ValueError("loop has no P: it can be run and shaken, but not simulated")
         P = self.P if plant is None else _stable_model("plant", plant)
@@ -484,19 +500,22 @@ class ClosedLoop:
         return P
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """From v to y at `omega` (rad/s), (n, p, m), by P or another model from w to y."""
+        """Compute the response from v to y at `omega` (rad/s), (n, p, m), by P or another model.
+
+        The other model, `plant`, is from w to y.
+        """
         return frequency_response(self.model(plant)[:, self.learned], omega)
 
 
 def same_loop(loop: Loop, other: Loop) -> bool:
-    """Whether two loops are alike to the last digit, names and units included."""
+    """Whether two loops are equal to the last digit, with their names and units."""
     if not (is_dataclass(loop) and type(loop) is type(other)):
         return loop == other
     return all(map(np.array_equal, _values(loop), _values(other)))
 
 
 def _values(loop):
-    """All that a loop is, to be compared."""
+    """Yield all values of a loop that are compared."""
     for part in fields(loop):
         value = getattr(loop, part.name)
         if not isinstance(value, control.StateSpace):
@@ -507,14 +526,16 @@ def _values(loop):
 
 
 def _stable_model(name, P):
-    """A stable model from w to y."""
+    """Check that a model from w to y is stable, and return it in discrete time."""
     P = sampled_plant(P, name)
     arguments.stable(name, P.poles())
     return P
 
 
 def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, K of observer (16) and feedback (18): c(p+1) = A c + B u + K_L y, u = N w - K c.
+    """Return A, B, K of observer (16) and feedback (18).
+
+    The equations are c(p+1) = A c + B u + K_L y and u = N w - K c.
 
     The states c are x-hat and delta.
     """
@@ -525,16 +546,16 @@ def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def with_disturbance(A, B, C) -> tuple[np.ndarray, np.ndarray]:
-    """A_a and C_a of (15), with A_d = C_d = I: the states of the plant, then the disturbance."""
+    """Return A_a, C_a of (15), A_d = C_d = I, with the plant's states before the disturbance."""
     n, m = B.shape
     return np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]), np.pad(C, [(0, 0), (0, m)])
 
 
 def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
-    """The loop (19), (18) around its plant or another, whose signals are matched by name.
+    """Return the loop (19), (18) around its plant or another, whose signals are matched by name.
 
-    Inputs are w, d and what is added to y before the observer (16) sees it; outputs y and u; the
-    states are those of the plant, x-hat and delta.
+    The inputs are w, d, and a signal that is added to y before the observer (16). The outputs are y
+    and u. The states are the plant's states, x-hat and delta.
     """
     if plant is None:
         return close(loop, loop.plant)
@@ -560,12 +581,12 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
 
 
 def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpace:
-    """The whole of a loop, stable or not, around a plant with the same inputs and outputs."""
+    """Close a loop, stable or not, around a plant with the same inputs and outputs."""
     m = loop.plant.noutputs
     A, B, K = controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
-    B = B + loop.KL @ Du  # u comes in by y, too
-    return control.ss(  # (19), of which (31) and (32) are the responses, and (18)
+    B = B + loop.KL @ Du  # u also enters the observer through y
+    return control.ss(  # (19), whose responses are (31) and (32), together with (18)
         np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - B @ K]]),
         np.block([[Bu @ loop.N, E, 0 * Bu], [B @ loop.N, loop.KL @ F, loop.KL]]),
         np.block([[plant.C, -Du @ K], [0 * plant.C, -K]]),
@@ -575,7 +596,7 @@ def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpa
 
 
 def _from_w_and_d(loop, plant=None):
-    """The loop (19) without noise, its signals by name."""
+    """The loop (19) without noise, with named signals."""
     m = len(loop.outputs)
     closed = whole_loop(loop, plant)[:m, :-m]
     closed.update_names(

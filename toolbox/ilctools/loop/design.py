@@ -14,7 +14,7 @@ from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop, with_disturbance
 from ilctools.models import Model, controls_first, sampled_plant
 
-INDEFINITE = 1e-12  # of a weight, relative: an eigenvalue that is as little below zero is rounding
+INDEFINITE = 1e-12  # relative size of a negative eigenvalue of a weight that counts as rounding
 
 
 def current_trial_loop(
@@ -30,32 +30,32 @@ def current_trial_loop(
 ) -> CurrentTrialLoop:
     """Close a loop around a plant: state feedback, observer, and estimate of the disturbance.
 
-    The gains are of two linear-quadratic problems, (16)-(29) of the paper. What disturbs the plant
-    is estimated as the input that has the same effect, and taken off: J.-H. She, M. Fang, Y.
-    Ohyama, H. Hashimoto and M. Wu, Improving disturbance-rejection performance based on an
-    equivalent-input-disturbance approach, IEEE Transactions on Industrial Electronics 55 (2008)
-    380-389.
+    The gains solve two linear-quadratic problems, (16)-(29) of the paper. The disturbance is
+    estimated as the input that has the same effect on the plant, and is subtracted from the
+    controls. Source: J.-H. She, M. Fang, Y. Ohyama, H. Hashimoto and M. Wu, Improving
+    disturbance-rejection performance based on an equivalent-input-disturbance approach, IEEE
+    Transactions on Industrial Electronics 55 (2008) 380-389.
 
     Parameters
     ----------
     plant : control.StateSpace or control.TransferFunction
-        The model (12) with m outputs, in discrete time, without direct feedthrough from its
-        controls, and without an unstable mode that no control reaches or no output shows. A
+        The model (12) with m outputs, in discrete time. The controls must have no direct
+        feedthrough. Every unstable mode must be reachable by a control and visible in an output. A
         transfer function is realised, with a shift register for the delay of each input.
     controls : sequence of str, optional
         Names of the m inputs that are controls u; any others are disturbances d, which the
         controller does not know. Default: all inputs, if there are as many as outputs.
     sizes : dict, optional
-        What counts as large for an output or a control, in its unit, by name; one for those that
-        are not named. With them the default weights, and so the loop, depend neither on the units
-        nor on the coordinates of the state. Without them the default weights are the paper's, in
-        the units and coordinates of `plant`.
+        What counts as large for an output or a control, in its unit, by name. A signal that is not
+        named has the size one. With `sizes`, the default weights and the loop do not depend on the
+        units or on the coordinates of the state. Without `sizes`, the default weights are the
+        paper's, in the units and coordinates of `plant`.
     units : dict, optional
         Units of inputs and outputs, by name, for those who read the results.
     Qs, Rs : array_like, shapes (n, n), (m, m), optional
-        Weights of states and controls in (24), of which the symmetric parts count. Default:
-        C' S_y^-2 C and 0.05 S_u^-2, where S_y and S_u hold the sizes on their diagonals; the
-        paper's are all one.
+        Weights of states and controls in (24). Only their symmetric parts count. Default:
+        C' S_y^-2 C and 0.05 S_u^-2, where S_y and S_u hold the sizes on their diagonals. The
+        paper's sizes are all one.
     Qo, Ro : array_like, shapes (n + m, n + m), (m, m), optional
         Weights of the estimation errors of states and outputs in (27). Default:
         diag(B S_u^2 B', 2 S_u^2) and S_y^2; without `sizes`, diag(I, 2I) and I as in the paper.
@@ -63,12 +63,12 @@ def current_trial_loop(
     See Also
     --------
     ClosedLoop : a loop whose controller is not ours
-    synthesise : a learning filter for it
+    synthesise : designs a learning filter for the loop
 
     Notes
     -----
     The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)
-    with A and C; the dimensions need A_a and C_a of (15).
+    with A and C, but the dimensions require A_a and C_a of (15).
 
     Examples
     --------
@@ -88,7 +88,7 @@ def current_trial_loop(
 
 
 def _checked(plant, controls):
-    """The plant (12) as a model with its controls first, if that is what it is."""
+    """Check that the plant has the form (12), and return it as a model with its controls first."""
     plant = sampled_plant(plant)
     m, names = plant.noutputs, plant.input_labels
     controls = names if controls is None else controls
@@ -110,7 +110,7 @@ def _checked(plant, controls):
 
 
 def _weights(plant, sizes, Qs, Rs, Qo, Ro):
-    """The weights of (24) and (27), checked, or what they are by default."""
+    """Return the weights of (24) and (27), checked, or their defaults."""
     n, m = plant.nstates, plant.noutputs
     Sy, Su = _sizes(sizes, plant.output_labels, plant.input_labels[:m])
     B, C = plant.B[:, :m], plant.C
@@ -125,7 +125,7 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
 
 
 def _sizes(sizes, outputs, controls):
-    """S_y and S_u: what counts as large, one where it is not said."""
+    """Return S_y and S_u, what counts as large; a size that is not given is one."""
     names = [*outputs, *controls]
     large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
     large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
@@ -133,7 +133,7 @@ def _sizes(sizes, outputs, controls):
 
 
 def _weight(name, asked, usual):
-    """The symmetric part of a weight, which is all that counts of it; `usual` where none is."""
+    """Return the symmetric part of a weight, checked; the default is `usual`."""
     weight = usual if asked is None else arguments.array(name, asked, usual.shape)
     weight = (weight + weight.T) / 2
     if np.linalg.eigvalsh(weight).min() < -INDEFINITE * np.abs(weight).max():
@@ -142,9 +142,9 @@ def _weight(name, asked, usual):
 
 
 def _gains(A, B, C, Qs, Rs, Qo, Ro):
-    """K_s of (26), K_L of (29) and N, computed where A is triangular."""
-    # Rounding depends on the coordinates of the state: of a transfer function with lags that are
-    # slow beside Ts, the Riccati equations have no solution in its own.
+    """Compute K_s of (26), K_L of (29) and N, in coordinates in which A is triangular."""
+    # Rounding depends on the coordinates of the state. If a transfer function has lags that are
+    # slow compared with Ts, the Riccati equations have no solution in its own coordinates.
     m = B.shape[1]
     T, Z = schur(A, output="real")
     Za = block_diag(Z, np.eye(m))
@@ -157,7 +157,7 @@ def _gains(A, B, C, Qs, Rs, Qo, Ro):
 
 
 def _gain(A, B, Q, R, weights):
-    """K of a Riccati equation; one with a mode on the circle is refused either way."""
+    """Compute K from a Riccati equation; refuse an equation that has a mode on the unit circle."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", LinAlgWarning)

@@ -1,4 +1,4 @@
-"""What trials show of limits of outputs: one was not kept, or learning stands still at one."""
+"""Warnings about limits of outputs: a limit was exceeded, or learning stands still at a limit."""
 
 import numpy as np
 import xarray as xr
@@ -8,13 +8,13 @@ from ilctools.models import from_rest
 from ilctools.trials.learn import applied_v, next_step
 from ilctools.trials.parts import parts_of
 
-STILL = 3  # trials in succession, each with
-LITTLE = 0.01  # of the law's own change or less,
-WORTH_IT = 1.2  # where that would divide the error by more than this
+STILL = 3  # learning stands still after so many successive trials,
+LITTLE = 0.01  # each with this share of the law's own change or less,
+WORTH_IT = 1.2  # if the law's own change would divide the error by more than this
 
 
 def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
-    """Which output was beyond its limit, from the trial before `first` on, and what follows."""
+    """Warn of an output beyond its limit, in any trial from the one before `first` on."""
     kept = law.output_limits
     if kept is None:
         return ""
@@ -33,7 +33,7 @@ def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
 
 
 def stands_still(trials: xr.Dataset, law: Law) -> str:
-    """Whether the last trials made next to nothing of what the law would change, and why."""
+    """Warn if the last trials made almost nothing of the law's change, and say why."""
     kept, parts = law.output_limits, parts_of(trials)[-STILL - 1 :]
     alike = all(np.array_equal(part["reference"], parts[0]["reference"]) for part in parts)
     if kept is None or law.L is None or len(parts) <= STILL or not alike:

@@ -1,4 +1,4 @@
-"""What trials say against convergence: *the error grows*, *the plant is not the model*, *dead*.
+"""Tests of trials for convergence: *the error grows*, *the plant is not the model*, *dead*.
 
 Let P be the response of the loop, and e_free the error without learning. If the ends of a trial
 are neglected, trial k obeys
@@ -54,13 +54,13 @@ from ilctools.units import by_unit
 
 SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
 NOTABLE_GROWTH = 1.5  # ratio of RMS errors that is worth a warning,
-RISES = 3  # if it rose so many times in succession,
-JUMP = 3.0  # or at once, relative to the largest before: one new disturbance is no divergence
-AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
-EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
-PLANT_ERROR = 0.5  # of a P that the law alone has, relative to it, that is no news
-STILL = 0.05  # movement of an output that P predicts, relative to the reference's, that must show
-ROUNDED_ERROR = 1e-9  # relative to the largest signal
+RISES = 3  # if the error rose so many times in succession;
+JUMP = 3.0  # ratio to the largest error before, if it rose once: a new disturbance is no divergence
+AMPLIFICATION = 5.0  # learning amplifies white noise: errors below so many times the noise are fine
+EXCESS = 0.05  # smallest error beyond the predicted one that counts, relative to the first error
+PLANT_ERROR = 0.5  # allowed relative error of P, if only the law has a P
+STILL = 0.05  # smallest predicted movement of an output that must show, relative to the reference's
+ROUNDED_ERROR = 1e-9  # size of a rounding error, relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
@@ -72,9 +72,10 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     trials : xarray.Dataset
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
-        If the design of the law was for more than one model, the trials are compared with these
-        plants, and must contradict each of them. Else they are compared with the P of the loop, the
-        model of the design, or the model in L. See :func:`known_plants`.
+        If the design of the law was for more than a single exact model, the trials are compared
+        with the plants of the design. A warning requires that trials contradict each plant. Else
+        the trials are compared with the P of the loop, the model of the design, or the model in L.
+        See :func:`known_plants`.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -90,9 +91,9 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     at_limits = {kind: text for kind, text in at_limits.items() if text}
     if law.L is None:
         return at_limits
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # errors may be 1e200
         found = {"growth": _first_finding(error_grows, forgetting(trials, law), first)}
-        # between points nothing is promised
+        # between points of a reference the model predicts no error
         for P in [] if exact or ASKED in trials.coords else known_plants(law):
             with_P = predicted(trials, law, P)
             differs = partial(plant_differs, law, largest_M(law, P))
@@ -105,7 +106,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
 
 
 def _first_finding(test, trials, first):
-    """Return the first finding of a test in successive trials, by outputs of one unit, as numbers."""
+    """Return what a test finds first in successive trials, by outputs of one unit, as numbers."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
     for channels in groups:
         alike = trials.isel(channel=channels)
@@ -137,7 +138,7 @@ def error_grows(trials: xr.Dataset) -> dict:
     if len(size) < 2:
         return {}
     size = np.maximum(size, ROUNDED_ERROR * max(largest, *size))
-    before = np.append(-1, np.flatnonzero(np.diff(size) <= 0))[-1] + 1  # since when it rises
+    before = np.append(-1, np.flatnonzero(np.diff(size) <= 0))[-1] + 1  # the rise begins here
     rises, least = len(size) - 1 - before, NOTABLE_GROWTH
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
@@ -150,9 +151,10 @@ def error_grows(trials: xr.Dataset) -> dict:
 
 
 def first_judged(trials: xr.Dataset) -> int:
-    """Find the first trial whose v this law made; Q removes the v of another law or task.
+    """Find the first trial in which Q removes from v little more than learning adds.
 
-    If e = -P v, the condition sigma_max(M) >= 1 means |Q L e| >= |(1 - Q) v|.
+    In the trials before, Q still removes the v of another law or task. If e = -P v, the condition
+    sigma_max(M) >= 1 means |Q L e| >= |(1 - Q) v|.
     """
     signals = (trials[name].values for name in ("forgotten", "learned"))
     taken, added = (np.sum(x**2, axis=(1, 2)) for x in signals)
@@ -174,9 +176,9 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 def known_plants(law: Law) -> list[Callable]:
     """Return P and its radius over omega, for each plant that the trials are compared with.
 
-    The first of these that is known is taken: the plants of the design, if it had more than one
-    exact model; the P of the loop; the model of the design; the model in L. The last case is that
-    of a law that was read from a file.
+    The plants of the design are taken, unless they are a single exact model. Otherwise the first of
+    these that is known is taken: the P of the loop, the model of the design, the model in L. The
+    model in L is for a law that was read from a file.
     """
     region, model = _region(law), getattr(law.loop, "P_v", None)
     if region is None and model is None:
@@ -231,7 +233,7 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     v = np.array([applied_v(law, part) for part in parts])
     w = v + [part["reference"] for part in parts] if "input" not in trials.v.dims else v
     samples = v.shape[1]
-    # by transforms of twice the length, after which the impulse response has decayed
+    # transforms have twice the length of a trial, in which the impulse response has decayed
     response, radius = P(2 * np.pi * np.fft.rfftfreq(2 * samples, law.Ts))
 
     def through(gain, signals):
@@ -279,9 +281,9 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
 
     Errors are relative to the error of trial `before`. Octaves end at `frequency`, in rad/s. The
     value `predicted` follows from (2), with the ends of the trial and with the error that P may
-    have. The value `bound` is the larger of `predicted` and the bound by (1), which has sigma_max(M)
-    and what Q leaves. The value `measured` is the error of trial k. The value `excess` is the RMS by
-    which the measured error exceeds the bound.
+    have. The value `bound` is the larger of `predicted` and the bound by (1), from sigma_max(M) and
+    from what Q leaves. The value `measured` is the error of trial k. The value `excess` is the RMS
+    by which the measured error exceeds the bound.
     """
     e, kept, first = trials.e.values, trials.kept.values, octaves(trials.e.shape[1])
     frequency = first * 2 * np.pi / e.shape[1]  # times Ts
@@ -291,7 +293,7 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
     uncertain = rms_by_octave(spread) + plant_error(law) * rms_by_octave(change)
     promised = (rms_by_octave(e[before] - change) + uncertain) / size  # (2)
     bound = 1 - law.gain + law.gain * (sigma + rms_by_octave(kept[before]) / size)  # (1)
-    # (1) is about the error only where M is
+    # (1) applies only if M acts on the error
     bound = promised if law.L.rows < law.L.columns else np.maximum(bound, promised)
     measured = rms_by_octave(e[k]) / size
     return {
@@ -313,7 +315,7 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     third reason is a disturbance that grows by the same amount in each trial.
     """
     e, size, last = trials.e.values, rms_of(trials.e).values, len(trials.e) - 1
-    if last < 2:  # noise is known from two changes on
+    if last < 2:  # the noise is estimated from two changes or more
         return {}
     expected = -np.diff(trials.effect.values, axis=0)
     came, noise, freedom = unexplained(np.diff(e, axis=0), expected)

@@ -1,4 +1,4 @@
-"""The loop of iterative learning, Section IV, whatever runs the trials: a model or a rig."""
+"""The loop of iterative learning, Section IV, for trials on a model or on a rig."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -14,15 +14,15 @@ from ilctools.models import from_rest
 from ilctools.trials.points import asking, filled, one_mask
 from ilctools.trials.transfer import first_signal
 
-BETWEEN_TRIALS = ("law", "transfer")  # what makes v where the reference changes
+BETWEEN_TRIALS = ("law", "transfer")  # what computes v if the reference changes
 TRANSFER = BETWEEN_TRIALS[1]
-ROUNDED_PILOT = 1e-3  # of the reference: a rig may take few digits of v
+ROUNDED_PILOT = 1e-3  # fraction of the reference: a rig may round v to few digits
 
 Part = dict[str, np.ndarray]  # signals of a trial, or of a part of one, shape (time, channel)
 
 
 class Asked(NamedTuple):
-    """What is asked of trials."""
+    """What trials are to do: the law, the references and the first v."""
 
     law: Law
     reference: np.ndarray  # (trial, time, p), with numbers between points
@@ -33,7 +33,7 @@ class Asked(NamedTuple):
 def asked_of(
     law: Law, reference, trials: int, v, reset: bool, pilot: float | None, between: str
 ) -> Asked:
-    """What is asked of a law, which is bound to its loop; everything is checked."""
+    """Check all arguments of an experiment; the law must be bound to its loop."""
     loop, trials = law.loop, arguments.whole("trials", trials, 1)
     reference, asked = filled(reference)
     like = "time", loop.outputs, loop.Ts
@@ -55,7 +55,7 @@ def asked_of(
 
 
 def _first_share(law, reference, v, pilot):
-    """The share of the reference that drives trial 1, by its v; None if v says it."""
+    """The share of the reference that drives trial 1, by its v; None if v is given or zero."""
     added = law.loop.one_for_one
     if pilot is not None:
         pilot = arguments.number("pilot", pilot, "a share in (0, 1]", 0, most=1)
@@ -70,7 +70,7 @@ def _first_share(law, reference, v, pilot):
 
 
 def check_between(between: str, loop: Loop, reset: bool) -> None:
-    """Refuse what cannot be done between trials of different references."""
+    """Refuse a `between` that the loop cannot do between trials of different references."""
     arguments.choice("between", between, BETWEEN_TRIALS)
     if between == TRANSFER and not (loop.one_for_one and reset):
         raise ValueError(
@@ -80,7 +80,7 @@ def check_between(between: str, loop: Loop, reset: bool) -> None:
 
 
 def _check_output_limits(law, reference, reset, one):
-    """Refuse, before any trial, what keeps limits of outputs from being kept."""
+    """Refuse, before any trial, arguments with which limits of outputs cannot be kept."""
     if not reset:
         raise ValueError("reset = False, but limits of outputs need a start from rest in each")
     if not one and not law.loop.one_for_one:
@@ -93,7 +93,7 @@ def _check_output_limits(law, reference, reset, one):
 
 
 def disturbances_of(loop: Loop, disturbance, trials: int, samples: int) -> np.ndarray:
-    """The disturbances of all trials (trial, time, d); None stands for zero."""
+    """Return the disturbances of all trials (trial, time, d); None stands for zero."""
     names = loop.disturbances
     d = np.zeros((samples, len(names))) if disturbance is None else disturbance
     return arguments.each_trial("disturbance", d, trials, samples, names, loop.Ts)
@@ -106,14 +106,15 @@ def learn(
     reference: np.ndarray,
     past: Sequence[Part] = (),
 ) -> list[Part]:
-    """Learn what a reference (time, p) asks for, in parts; with a reset each is a trial.
+    """Learn to follow a reference (time, p), in parts; with a reset, each part is a trial.
 
         w_k = r + v_k, or F r + G v_k                                                        (22)
         v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
 
-    `following(parts, upcoming)` is (23) after these parts, see :func:`next_v`, before the upcoming
-    part of the reference; `respond(w, now)` applies w in the samples `now` of the reference and
-    returns the other signals.
+    The function `following(parts, upcoming)` computes (23) from all parts so far, see
+    :func:`next_v`. The argument `upcoming` is the rest of the reference. The function
+    `respond(w, now)` applies w in the samples `now` of the reference, and returns the other
+    signals.
     """
     parts, done = [], 0
     while done < len(reference):
@@ -133,16 +134,16 @@ def next_v(
     parts: Sequence[Part],
     upcoming: np.ndarray | None = None,
 ) -> np.ndarray:
-    """v by (23) after these parts; without reset, of the samples that follow from them.
+    """Compute the next v by (23), from the parts so far.
 
-    Between trials of different references it is what :func:`.transfer` predicts from all parts, if
-    `between` says so.
+    Without reset, v is returned for as many samples as the parts determine. If the reference
+    changes and `between` is "transfer", :func:`.transfer` computes v from all parts instead.
     """
     if not parts:
         return first
     if reset:
         return next_step(law, between, parts, upcoming)[0]
-    if not law.known_limits:  # with them what was applied follows from the start on
+    if not law.known_limits:  # with limits, what was applied is computed from the first trial on
         parts = _last(parts, memory(law, len(first)))
     signals = joined(parts)
     e = signals["reference"] - signals["y"]
@@ -152,7 +153,7 @@ def next_v(
 def next_step(
     law: Law, between: str, parts: Sequence[Part], upcoming: np.ndarray | None = None
 ) -> tuple[np.ndarray, Step | None]:
-    """v of the trial after these, and the step that keeps limits of outputs, if there is one."""
+    """Compute v of the next trial, and the step that keeps limits of outputs, if there is one."""
     *past, now = parts
     reference, y = now["reference"], now["y"]
     upcoming = reference if upcoming is None else upcoming[: len(reference)]
@@ -167,13 +168,14 @@ def next_step(
         target[len(target) - law.rest :] = 0
     else:
         began = np.zeros_like(v) if past else _pilot(law, now)
-        # whatever the learning gain is, a pilot's share is not kept: as if it had been the whole
+        # The law learns as if trial 1 had had the whole reference, whatever the learning gain is:
+        # the part of v that reduced the reference is not kept.
         target = law.unlimited(v - began, reference - y + _effect(law, began))
     return law.within_limits(target, v, applied, y, (reference, upcoming), past)
 
 
 def _pilot(law, first):
-    """The part of the first v that lowers the reference to a share; zero if it is another v."""
+    """The part of the first v that reduces the reference to a share; zero for any other v."""
     v, rise = first["v"], first["reference"] - first["reference"][0]
     if law.output_limits is None or v.shape != rise.shape or not rise.any():
         return np.zeros_like(v)
@@ -183,7 +185,7 @@ def _pilot(law, first):
 
 
 def _effect(law, v):
-    """What the nominal plant makes of v."""
+    """The response of the nominal plant to v."""
     if not v.any():
         return 0.0
     region = law.output_limits.region
@@ -191,18 +193,18 @@ def _effect(law, v):
 
 
 def applied_v(law: Law, signals: Part) -> np.ndarray:
-    """v (time, m) as far as it was applied."""
+    """Return v (time, m) as far as it was applied."""
     u = law.loop and law.loop.asked(signals)
     v, _ = law.applied(signals["v"], u, signals.get("applied"))
     return v
 
 
 def _last(parts, samples):
-    """The last parts, as many as have so many samples."""
+    """The last parts, which together have at least `samples` samples."""
     done = np.cumsum([len(part["v"]) for part in reversed(parts)])
     return parts[-1 - np.searchsorted(done, samples) :]
 
 
 def joined(parts: Sequence[Part], join: Callable = np.concatenate) -> Part:
-    """The signals of samples, of parts of a trial or of trials, joined."""
+    """Join the signals of samples, of parts of a trial, or of trials."""
     return {name: join([part[name] for part in parts]) for name in parts[-1]}

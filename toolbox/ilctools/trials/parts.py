@@ -1,4 +1,4 @@
-"""Trials that have ended, in parts: the signals of each, or from one rest to the next."""
+"""Trials that have ended, in parts: the signals of each trial, or from one rest to the next."""
 
 import numpy as np
 import xarray as xr
@@ -9,21 +9,22 @@ from ilctools.trials.learn import Part, joined
 
 
 def parts_of(trials: xr.Dataset) -> list[Part]:
-    """The signals of each trial."""
+    """Return the signals of each trial."""
     names = [name for name in SIGNALS if name in trials]
     return [{name: trials[name].values[k] for name in names} for k in range(len(trials.trial))]
 
 
 def from_rest_to_rest(trials: xr.Dataset) -> list[Part]:
-    """The signals from one rest to the next: of each trial; without reset, of all as one."""
+    """Return the signals from one rest to the next: each trial, or all joined without reset."""
     parts = parts_of(trials)
     return [joined(parts)] if RESET in trials.attrs else parts
 
 
 def successions(trials: xr.Dataset) -> np.ndarray:
-    """Index of the first of the trials in succession that have each trial's reference.
+    """For each trial, return the index of the first successive trial with the same reference.
 
-    Without reset, not of the first: it is the only one that starts from rest.
+    Without reset, the first trial counts as a succession of its own, because only the first trial
+    starts from rest.
     """
     changes = np.any(np.diff(trials.reference.values, axis=0), axis=(1, 2))
     changes[:1] |= RESET in trials.attrs

@@ -1,4 +1,4 @@
-"""References that ask for something at some samples only: NaN stands for nothing."""
+"""References that are given at some samples only; NaN stands for no reference."""
 
 from dataclasses import replace
 
@@ -11,11 +11,12 @@ from ilctools.norm_optimal import NormOptimal
 
 
 def filled(reference):
-    """A reference, shape (..., time, p), with numbers for NaN, and where they were not there.
+    """Replace NaN in a reference, shape (..., time, p), and mark where it had numbers.
 
-    Labels are kept. What is driven between points where v is added to the reference runs on
-    straight lines from point to point, and is held after the last. Without NaN both are as they
-    are, and None.
+    Between points, the reference runs along straight lines, and is constant after the last point. A
+    loop whose v is added to the reference is driven by these numbers. Labels are kept. Returns the
+    reference with numbers everywhere, and one where a number was given, zero elsewhere. A reference
+    without NaN is returned unchanged, with None.
     """
     values = np.array(reference, dtype=float) if _may_hold_numbers(reference) else np.zeros(0)
     absent = np.isnan(values)
@@ -40,27 +41,27 @@ def filled(reference):
 def _may_hold_numbers(reference):
     try:
         np.asarray(reference, dtype=float)
-    except (TypeError, ValueError):  # which the door of references refuses in words
+    except (TypeError, ValueError):  # the check of references refuses this with a message
         return False
     return np.ndim(reference) > 0
 
 
 def _like(labelled, values):
-    """Values with the labels of a signal."""
+    """Give values the labels of a signal."""
     if isinstance(labelled, pd.DataFrame):
         return pd.DataFrame(values, labelled.index, labelled.columns)
     return labelled.copy(data=values) if isinstance(labelled, xr.DataArray) else values
 
 
 def one_mask(asked) -> np.ndarray:
-    """Where something is asked, (time, p), of all trials (trial, time, p), which must agree."""
+    """Return the samples with a reference, (time, p); all trials (trial, time, p) must agree."""
     if np.any(asked != asked[0]):
         raise ValueError("reference must have NaN at the same samples of all trials")
     return asked[0] > 0
 
 
 def asking(law: Law, asked: np.ndarray) -> Law:
-    """The law with an L that leaves out what is not asked, (time, p)."""
+    """Return the law with an L that learns only from the samples in `asked`, (time, p)."""
     if law.L is None:
         return law
     if not isinstance(law.L, NormOptimal):

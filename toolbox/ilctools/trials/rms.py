@@ -6,15 +6,30 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.signals import ASKED, points_of, with_points
 
-SMALLEST_DIVISOR = np.finfo(float).tiny  # instead of a zero
+SMALLEST_DIVISOR = np.finfo(float).tiny  # replaces a divisor that is zero
 
 
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
-    """RMS of the error of each trial: root of the mean over time of e'e, summed over channels.
+    """Compute the RMS of the error of each trial: the root of the mean over time of e'e.
 
-    Of references that ask for points alone, the mean of each output is over those. `e` is a
-    DataArray with the dimensions time and channel, or input, or a dataset of trials or a
-    log with reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
+    The product e'e is the sum of squares over all channels. If the reference is given at some
+    points only, the mean of each output is taken over these points.
+
+    Parameters
+    ----------
+    e : xarray.DataArray or xarray.Dataset
+        The error, with the dimensions time and channel, or time and input. Or a dataset of trials,
+        or a log, with reference and y; the error is then reference - y.
+
+    Returns
+    -------
+    xarray.DataArray
+        The RMS, for each trial.
+
+    Raises
+    ------
+    ValueError
+        If `e` is anything else, or has a gap.
 
     See Also
     --------
@@ -41,7 +56,7 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
 
 
 def rms_of(e: xr.DataArray) -> xr.DataArray:
-    """RMS(e_k), also of what is not finite."""
+    """Compute RMS(e_k), also for an error that is not finite."""
     channels = "input" if "input" in e.dims else "channel"
     squares = e.astype(float) ** 2
     if ASKED in e.coords:  # the mean of each output over its points
@@ -51,28 +66,28 @@ def rms_of(e: xr.DataArray) -> xr.DataArray:
 
 
 def harmonics(signals) -> np.ndarray:
-    """Fourier coefficients (..., harmonic, channel) of signals (..., time, channel).
+    """Compute Fourier coefficients (..., harmonic, channel) of signals (..., time, channel).
 
-    Their squares add up to the mean square.
+    The squares of the coefficients add up to the mean square of the signal.
     """
     samples = signals.shape[-2]
     coefficients = np.fft.rfft(signals, axis=-2) / samples
-    coefficients[..., 1 : (samples + 1) // 2, :] *= np.sqrt(2)  # of harmonic and conjugate
+    coefficients[..., 1 : (samples + 1) // 2, :] *= np.sqrt(2)  # harmonic and its conjugate
     return coefficients
 
 
 def octaves(samples: int) -> np.ndarray:
-    """The first harmonic of each octave of a trial: 0, 2, 4, 8, ..."""
+    """Return the first harmonic of each octave of a trial: 0, 2, 4, 8, ..."""
     return np.append(0, 2 ** np.arange(1, (samples // 2).bit_length()))
 
 
 def rms_by_octave(signal) -> np.ndarray:
-    """RMS of a signal (time, channel) in each octave, over all channels."""
+    """Compute the RMS of a signal (time, channel) in each octave, over all channels."""
     power = np.sum(np.abs(harmonics(signal)) ** 2, axis=1)
     return np.sqrt(np.add.reduceat(power, octaves(len(signal))))
 
 
 def noise_std(signals) -> np.ndarray:
-    """Standard deviation of white noise in signals (time, channel), from neighbours in time."""
+    """Estimate the standard deviation of white noise in signals (time, channel) by differences."""
     bends = np.diff(signals, 2, axis=0)
     return np.sqrt(np.sum(bends**2, axis=0) / (6 * max(1, len(bends))))

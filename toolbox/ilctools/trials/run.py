@@ -1,7 +1,7 @@
-"""Trials of the loop (19) under the ILC law, Section IV: (22), (23) are :func:`.learn`'s.
+"""Simulated trials of the loop (19) under the ILC law, Section IV.
 
-In a trial, with x the states of the plant and of the observer, whose estimates are x-hat and delta,
-and noise n on what the sensors report,
+:func:`.learn` has the equations (22) and (23). Let x be the states of the plant and of the
+observer, whose estimates are x-hat and delta. Let n be the noise of the sensors. A trial obeys
 
     x(p+1) = A x(p) + B w(p) + E d(p) + K n(p),    y(p) = C x(p) + D w(p) + F d(p) + n(p)    (19)
     u(p) = N w(p) - K_s x-hat(p) - delta(p)                                                  (18)
@@ -153,16 +153,16 @@ def run_trials(
 
 
 def _dataset(loop, **signals):
-    """Trials from their signals."""
+    """Make a dataset of trials from their signals."""
     names = loop.outputs, loop.controls, loop.disturbances
     learned = () if loop.one_for_one else loop.learned
     result = dataset(loop.Ts, *names, loop.units, learned=learned, **signals)
-    # which of the inputs take a reference, too, nothing else says
+    # only the note of the loop tells which inputs also take a reference
     return with_loop(result, loop) if learned else result
 
 
 def _learned(simulated, following, reset, *inputs):
-    """The signals of trials, by reference, disturbance and noise, (trial, time, channel)."""
+    """Simulate trials; `inputs` are reference, disturbance and noise, (trial, time, channel)."""
     references, flows, white = map(np.concatenate, inputs)
     with progress(total=len(references), desc="samples", delay=PATIENCE) as bar:
 
@@ -178,7 +178,7 @@ def _learned(simulated, following, reset, *inputs):
 
 
 class _Simulated:
-    """The loop (19) around a plant, or P of a loop whose controller is not ours, by samples."""
+    """A simulation of the loop (19) around a plant, or of P for a ClosedLoop."""
 
     def __init__(self, loop, plant, actuators, initial_state):
         self.loop, self.actuators = loop, actuators
@@ -200,8 +200,8 @@ class _Simulated:
         self.state = self.initial
 
     def part(self, w, d, noise):
-        """The signals of a trial, or of a part of one."""
-        inputs = np.hstack([w, d, noise])[:, : self.model.ninputs]  # P has w alone
+        """Simulate a trial, or a part of a trial, and return its signals."""
+        inputs = np.hstack([w, d, noise])[:, : self.model.ninputs]  # P has no other input than w
         x, y, u = self.response(inputs)
         signals = {"u": u}
         if self.actuators is not None:
@@ -214,28 +214,28 @@ class _Simulated:
         return signals | {"y": y, "delta": x[:, -w.shape[1] :]} if self.ours else {"y": y}
 
     def response(self, inputs):
-        """States, outputs y and commands u, which stand in this order in the model's outputs."""
+        """Compute states, outputs y and commands u; the model's outputs are y, then u."""
         model, p = self.model, len(self.loop.outputs)
         x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
         y_and_u = x @ model.C.T + inputs @ model.D.T  # (18)
         return x, y_and_u[:, :p], y_and_u[:, p:]
 
     def within_limits(self, inputs):
-        """Inputs whose w asks for what is applied, and what is asked for with the w given."""
+        """Replace w by the w that asks for the applied commands; return inputs and asked u."""
         model, outputs, m = self.model, len(self.loop.outputs), len(self.loop.inputs)
         inputs, u = inputs.copy(), np.empty((len(inputs), len(self.loop.commands)))
         x = self.state
         for p, now in enumerate(inputs):
             u[p] = model.C[outputs:] @ x + model.D[outputs:] @ now
             applied = self.actuators.follow(u[p])
-            # of a loop whose controller is not ours, the commands are w
+            # in a loop whose controller is not ours, the commands are w
             now[:m] = self.loop.realised(now[:m], u[p], applied) if self.ours else applied
             x = model.A @ x + model.B @ now
         return inputs, u
 
 
 def _warnings(result, law, exact, from_rest):
-    """What trials show, and what of their reference and their limits."""
+    """Yield warnings about the convergence, the limits and the references of trials."""
     yield from diagnose(result, law, exact=exact).values()
     if law.actuators is not None:
         u = np.asarray(law.loop.asked(result))

@@ -1,4 +1,7 @@
-"""Where trials start: from the same state, or what is learned in one does not hold in the next."""
+"""Where trials start: they must start from the same state, or learning in one does not help others.
+
+The module compares the outputs and the references of later trials with the first start.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,33 +12,33 @@ from ilctools.loop.closed import Loop
 from ilctools.trials.rms import noise_std
 from ilctools.units import by_unit, with_unit
 
-NEAR_START = 0.02  # of the largest reference in the same unit, that a start may be off
-SURE = 5.0  # standard deviations of the noise, likewise
+NEAR_START = 0.02  # allowed distance of a start, as a share of the largest reference in its unit
+SURE = 5.0  # the distance may be larger by so many standard deviations of the noise
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where the first trial started, and how near is near enough."""
+    """Where the first trial started, and how near another start must be."""
 
-    level: np.ndarray  # of the outputs
+    level: np.ndarray  # values of the outputs
     tolerance: np.ndarray
-    labels: Sequence[str]  # of the outputs, with their units
+    labels: Sequence[str]  # names of the outputs, with their units
 
     @classmethod
     def of(cls, y, reference, loop: Loop) -> "Start":
-        """That of the first trial, from its outputs and its reference, shape (time, output)."""
+        """Take the start of the first trial from its outputs and reference, (time, output)."""
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
         tolerance = NEAR_START * largest_by_unit(reference, loop) + noise
         labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
         return cls(y[0], tolerance, labels)
 
     def near(self, y, held) -> bool:
-        """Whether outputs, shape (output,), are there, or where they are held instead."""
+        """Whether outputs, shape (output,), are near the first start, or near the values `held`."""
         off = np.abs(y - [self.level, held]).min(axis=0)
         return bool(np.all(off <= self.tolerance))
 
     def missed(self, y) -> str:
-        """How far the outputs (time, output) of another trial start from there, in words."""
+        """Say in words how far the outputs (time, output) of another trial are from this start."""
         words = self._distance(y)
         return words and (
             f"it starts {words} from where the first trial did: what is learned holds for one "
@@ -43,7 +46,7 @@ class Start:
         )
 
     def away(self, reference) -> str:
-        """How far the reference (time, output) of a trial that learns starts from there."""
+        """Say in words how far the reference (time, output) of a trial begins from this start."""
         words = self._distance(reference)
         return words and (
             f"the reference starts {words} from where trials do, an error that no v mends: let it "
@@ -57,7 +60,7 @@ class Start:
 
 
 def largest_by_unit(reference, loop: Loop) -> np.ndarray:
-    """Largest reference (time, output) of all outputs in the same unit, for each output."""
+    """For each output, return the largest reference (time, output) of all outputs in its unit."""
     units, sizes = [loop.units[n] for n in loop.outputs], np.abs(reference).max(axis=0)
     groups = by_unit(units)
     return np.array([sizes[groups[unit]].max() for unit in units])

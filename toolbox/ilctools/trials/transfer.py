@@ -1,13 +1,14 @@
-"""Another task tomorrow: the first ILC signal of a new reference, from the trials of others.
+"""The first ILC signal of a new reference, from the trials of other references.
 
 By (30), y_k = P (r_k + v_k) + P~ d in any trial, converged or not. With e_k = r_k - y_k follows
 
-    v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d:                                (1)
+    v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d.                                (1)
 
-what v would have to be if y_k were the reference. F is the plant's; c compensates a repeating
-disturbance; any reference r needs v = F r + c. No model of P enters.
+This is the v that would be needed if y_k were the reference. F depends on the plant alone, and c
+compensates a repeating disturbance. Any reference r needs v = F r + c. No model of P is used.
 
-With F y_k = Phi_k f by the taps f of F, and t_k = v_k + e_k, one ridge regression gives both,
+Let F y_k = Phi_k f, where f are the taps of F, and let t_k = v_k + e_k. One ridge regression gives
+both f and c:
 
     minimise  sum_k ||t_k - Phi_k f - c||^2 + lambda f' D f + gamma ||c||^2.                  (2)
 
@@ -17,18 +18,20 @@ minimises, are
     c = (1 - rho) (t - Phi f),                                                                (3)
     sum_k ||t_k - t - (Phi_k - Phi) f||^2 + rho K ||t - Phi f||^2 + lambda f' D f.            (4)
 
-So c is a random effect (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612): the mean over
-the trials has K s_c^2 / s_w^2 + 1 = 1 / rho times the variance that deviations from it promise. By
-kernels, with one trial: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
+Therefore c is a random effect (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). The
+mean over the trials has a larger variance than the deviations from the mean predict. The factor is
+K s_c^2 / s_w^2 + 1 = 1 / rho. L. Blanken and T. Oomen, Automatica 114 (2020) 108830, use kernels
+and one trial.
 
-*With a model* M of P, what is known of F beforehand stays out of the fit. With z_k = M^+ y_k, M^+
-its regularised inverse over a trial, (1) is
+*With a model* M of P, only the unknown part of F is fitted. Let M^+ be the regularised inverse of M
+over a trial, and z_k = M^+ y_k. Then (1) becomes
 
     v_k + r_k = G z_k + c,    G = P^-1 M,    v = G M^+ r + c - r,                             (5)
 
-G near I, and (2) to (4) are of G - I with z_k in the place of y_k and v_k + r_k - z_k as t_k. A
-single trial has one number for each output and frequency, but each row of G has m. With one trial
-G is therefore taken to be diagonal, as if each input had an error of its own.
+where G is near I. Equations (2) to (4) are then used for G - I, with z_k in the place of y_k and
+v_k + r_k - z_k as t_k. A single trial has one number for each output and frequency, but each row of
+G has m. With one trial, G is therefore taken to be diagonal, as if each input had an error of its
+own.
 """
 
 from collections.abc import Sequence
@@ -51,35 +54,36 @@ from ilctools.singular_values import largest_singular_values
 from ilctools.trials.rms import SMALLEST_DIVISOR
 from ilctools.warn import warn
 
-LAG_RATIO = 1.5  # from one lag of F to the next: fewer taps, a smoother F
+LAG_RATIO = 1.5  # ratio of successive lags of F; a larger one gives fewer taps and a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
 WEIGHTS = 10.0 ** np.arange(-10, 1)  # candidates for lambda, in mean squares of the regressors
-STATIC_WEIGHT = 1e6  # of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
-DIAGONAL_WEIGHT = 1e6  # of what is not diagonal in G, a candidate beside 1: as if it were zero,
+STATIC_WEIGHT = 1e6  # weight of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
+DIAGONAL_WEIGHT = 1e6  # weight of coupling in G, a candidate beside 1: as if it were zero,
 PENALTY = 2.0  # unless the other candidate makes each trial so many times as likely
-SMALLEST_GAIN = 0.01  # of M, relative to its largest, that is inverted: below, inputs are noise
-RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
-BLOCKS = 5  # of time, for cross-validation
-ROUNDED_POWER = 1e-14  # of the power, below which residuals are rounding
-PREDICTED = 0.9  # share of v + e with less of which a warning comes
-UNCERTAIN = 0.2  # share of v that may be uncertain without one
+SMALLEST_GAIN = 0.01  # least inverted gain of M, relative to its largest: below, inputs are noise
+RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial rho is 1
+BLOCKS = 5  # blocks of time for cross-validation
+ROUNDED_POWER = 1e-14  # fraction of the power below which residuals are rounding
+PREDICTED = 0.9  # a smaller share of v + e that is predicted gives a warning
+UNCERTAIN = 0.2  # a larger share of v that is uncertain gives a warning
 
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Where to begin with another reference. Signals have the shape (time, m).
+    """The first v for another reference, and how well it is known.
 
-    The uncertainty is the jackknife's, by fits without one block of time each, together with the
-    distance to the fit by differences between trials alone, rho = 0.
+    Signals have the shape (time, m). The uncertainty has two parts. The jackknife part is from fits
+    that leave out one block of time each. The other part is the distance to a fit that uses only
+    differences between trials, rho = 0.
     """
 
     v: np.ndarray  # ILC signal of the first trial, feedforward + compensation
     feedforward: np.ndarray  # F r
-    compensation: np.ndarray  # c, of a repeating disturbance
-    # (m, m, 2 R + 1): impulse response, from R samples ahead to R back; with a model of G - I
+    compensation: np.ndarray  # c, which compensates a repeating disturbance
+    # (m, m, 2 R + 1): impulse response of F, from R samples ahead to R back; with a model, of G - I
     F: np.ndarray
-    predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
-    uncertainty: np.ndarray  # (m,): RMS by which v may be off
+    predicted: np.ndarray  # (m,): predicted share of v_k + e_k, in cross-validation
+    uncertainty: np.ndarray  # (m,): RMS by which v may be wrong
 
     def __repr__(self):
         size, share = np.sqrt(np.mean(self.v**2, axis=0)), np.round(self.predicted, 4)
@@ -98,10 +102,10 @@ def transfer(
     Parameters
     ----------
     trials : xarray.Dataset or list of them
-        Trials from :func:`run_trials`, :func:`record` or :func:`load_log`, of one plant and loop,
-        with the same disturbance and of the same length, each from a reset. Leave others out, by
-        isel. The first trials of a task say most. If actuators saturate, pass the v that was
-        realised, see the loop's `realised`.
+        Trials from :func:`run_trials`, :func:`record` or :func:`load_log`. All trials must have the
+        same plant, loop, disturbance and length, and must start from a reset. Leave out other
+        trials by isel. The first trials of a task are the most informative. If actuators saturate,
+        pass the v that was realised, see the loop's `realised`.
     reference : array_like, shape (time, m)
         The new reference, of any length. Where it has frequencies that the earlier references
         lacked, v is a guess. Beyond the end of the trials, no disturbance is compensated.
@@ -116,16 +120,16 @@ def transfer(
 
     See Also
     --------
-    run_trials : takes v for the first trial
-    record : trials on a rig
+    run_trials : simulates trials, with v for the first trial
+    record : runs trials on a rig
 
     Notes
     -----
     The lags of F grow geometrically up to half a trial, with straight lines between, and are
     weighted as slopes, (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r.
-    Within a task v differs, and between tasks the reference does. Cross-validation over blocks of
-    time chooses the weights lambda and rho, and whether F(0) = 0. Above the cut-off of Q, a law
-    removes v again.
+    Trials of one task have different v, and trials of different tasks have different references.
+    Cross-validation over blocks of time chooses the weights lambda and rho, and whether F(0) = 0.
+    Above the cut-off of Q, a law removes v again.
 
     Examples
     --------
@@ -154,7 +158,7 @@ def transfer(
 
 
 def _signals(trials):
-    """v, y and reference of all trials, (trial, time, output), and the names of the outputs."""
+    """v, y and reference of all trials, (trial, time, output), names of outputs, and the period."""
     signals, tasks, periods = ("v", "y", "reference"), [], {}
     for task in trials if isinstance(trials, list | tuple) and trials else [trials]:
         task = arguments.instance("trials", task, xr.Dataset)
@@ -184,7 +188,7 @@ def _signals(trials):
 
 
 def _model(model, outputs, period):
-    """P as a model; None if nothing is known."""
+    """Check the model and return P as a model; None without a model."""
     if isinstance(model, Loop):
         if model.P_v is None or not model.one_for_one:
             raise ValueError(
@@ -207,12 +211,12 @@ def _model(model, outputs, period):
 
 
 def first_signal(v, y, references, reference, model: Model | None = None) -> np.ndarray:
-    """v for a reference (time, m), from signals of trials, (trial, time, m), and from P's model."""
+    """Compute v for a reference (time, m) from signals of trials (trial, time, m) and a model."""
     return _fitted(v, y, references, reference, model).v
 
 
 def _inverse(model, size, samples):
-    """M^+ of (5) over so many samples, of signals (time, m) whose sizes are (m,)."""
+    """M^+ of (5) over `samples` samples, for signals (time, m) with the sizes (m,)."""
     if model is None:
         return lambda signal: signal
     M = control.ss(
@@ -225,14 +229,14 @@ def _inverse(model, size, samples):
 
 
 def _sizes(signals):
-    """RMS of each channel of trials, (m,); one for zero."""
+    """RMS of each channel of trials, (m,); one for a channel that is zero."""
     size = np.sqrt(np.mean(signals**2, axis=(0, 1)))
     size[size == 0] = 1.0
     return size
 
 
 def _fitted(v, y, references, reference, model):
-    """F and c of trials, (trial, time, m), and what they make of another reference, (time, m)."""
+    """Fit F and c to trials (trial, time, m), and apply both to another reference (time, m)."""
     _, samples, m = y.shape
     inverse, new_inverse = (_inverse(model, _sizes(y), N) for N in (samples, len(reference)))
     z, z_new = np.array([inverse(output) for output in y]), new_inverse(reference)
@@ -252,7 +256,7 @@ def _fitted(v, y, references, reference, model):
 
 
 def _uncertainty(fits, new, by_fit, without, rho):
-    """By how much v moves without a block of time, or by differences between trials alone, (m,)."""
+    """Change of v without a block of time, or by differences between trials alone, (m,)."""
     apart = fits.first_signal(new, without, rho) - by_fit
     jackknife = (1 - 1 / BLOCKS) * np.sum(apart**2, axis=0)
     by_differences, _ = fits.likeliest([0.0])
@@ -261,7 +265,7 @@ def _uncertainty(fits, new, by_fit, without, rho):
 
 
 def _basis(reach):
-    """Taps of F, shape (lags, taps): slopes between lag 0 and others, and lag 0 by itself."""
+    """Basis of F, shape (lags, taps): slopes between lag 0 and other lags, and lag 0 by itself."""
     knots = [0, 1]
     while knots[-1] < reach:
         knots.append(min(reach, round(LAG_RATIO * knots[-1])))
@@ -275,7 +279,7 @@ def _basis(reach):
 
 
 def _taps(signal, basis):
-    """A signal (time, m) by each tap, shape (time, m taps); constant beyond its ends."""
+    """Filter a signal (time, m) by each tap, (time, m taps); it is constant beyond its ends."""
     reach = len(basis) // 2
     extended = np.pad(signal, [(reach, reach), (0, 0)], mode="edge")
     taps = oaconvolve(extended[..., None], basis[:, None], mode="valid", axes=0)
@@ -290,12 +294,12 @@ def _products(columns):
 class _Fits:
     """Fits of m targets t_k by p regressors Phi_k, shapes (trial, time, m) and (trial, time, p).
 
-    `known`: whether they are deviations from a model, which may be diagonal.
+    The flag `known` says whether the fits are deviations from a model, which may be diagonal.
     """
 
     def __init__(self, Phi, t, known=False):
         self.K, _, self.m = t.shape
-        self.coupling = (1.0,)  # weights of what is not diagonal
+        self.coupling = (1.0,)  # candidates for the weight of coupling
         if known and self.m > 1:
             self.coupling = (1.0, DIAGONAL_WEIGHT) if self.K > 1 else (DIAGONAL_WEIGHT,)
         columns = np.concatenate([Phi, t], axis=2)
@@ -304,12 +308,12 @@ class _Fits:
         self.products = np.array([within, self.K * _products(self.mean)])  # the sums of (4)
 
     def first_signal(self, new, f, rho):
-        """F r + c, (3), where r has the regressors `new`."""
+        """Compute F r + c with c of (3); `new` are the regressors of r."""
         Phi, t = np.split(np.pad(self.mean, [(0, len(new)), (0, 0)])[: len(new)], [-self.m], axis=1)
         return new @ f + (1 - rho) * (t - Phi @ f)
 
     def likeliest(self, ratios):
-        """f by the likeliest weights of each output, shape (p, m), and f without each block."""
+        """Find f, (p, m), by the likeliest weights of each output, and f without each block."""
         candidates = [*product(ratios, (1.0, STATIC_WEIGHT), self.coupling, WEIGHTS)]
         best = np.argmax([self.likelihood(*weights) for weights in candidates], axis=0)
         fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
@@ -317,7 +321,7 @@ class _Fits:
         return f, np.array(without)
 
     def solve(self, rho, static, coupling, weight):
-        """f of (4), of all blocks, and without each, shape (1 + blocks, p, m)."""
+        """Compute f of (4) from all blocks, then without each block, shape (1 + blocks, p, m)."""
         blocks = np.tensordot([1, rho], self.products, 1)
         total = blocks.sum(axis=0)
         sums, p = np.concatenate([total[None], total - blocks]), len(total) - self.m
@@ -332,13 +336,13 @@ class _Fits:
         return np.concatenate(f, axis=2)
 
     def squares(self, f):
-        """Sums of squares of t - Phi f, within and between trials, each block by its own f."""
+        """Sums of squares of t - Phi f, within and between trials; each block has its own f."""
         one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
         R = np.concatenate([-f, one], axis=1)  # from (Phi, t) to t - Phi f
-        return np.maximum(0, np.sum(R * (self.products @ R), axis=(1, 2)))  # of rounding
+        return np.maximum(0, np.sum(R * (self.products @ R), axis=(1, 2)))  # rounding may be < 0
 
     def likelihood(self, rho, static, coupling, weight):
-        """Logarithm of the likelihood of each output in blocks that were left out of the fit."""
+        """Logarithm of the likelihood of each output, in blocks that the fit left out."""
         without = self.solve(rho, static, coupling, weight)[1:]
         no_F = np.zeros_like(without)
         power = self.squares(no_F).sum(axis=0)
@@ -348,7 +352,7 @@ class _Fits:
         return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
     def variances(self, without):
-        """rho, by what fits without a block leave in it; and the share that they predict, (m,)."""
+        """Estimate rho, and the predicted share, (m,), from residuals in blocks left out."""
         no_F = np.zeros_like(without)
         missed, power = self.squares(without), self.squares(no_F)
         rho = np.ones(self.m)
@@ -361,7 +365,7 @@ class _Fits:
 
 
 def _warnings(result, i, name):
-    """What speaks against the first signal of output i."""
+    """Warn if the first signal of output i is poorly predicted or uncertain."""
     if result.predicted[i] < PREDICTED:
         yield (
             f"F predicts {result.predicted[i]:.0%} of v + e for {name}: if another disturbance "
