@@ -1,9 +1,9 @@
 """Iterative learning control of a heated rod: the module behind the notebooks.
 
-Here is what the paper is about: the rod, its models, its loop and its rigs, and the workbench. What
-serves any plant is the toolbox, :mod:`ilctools`. A name is imported when it is first used, so that
-what needs only a part does not wait for all. What is passed and does not belong there is a
-ValueError that names the argument.
+The package contains what the paper is about: the rod, its models, its loop and its rigs, and the
+workbench. The toolbox :mod:`ilctools` serves any plant. A name is imported when it is first used.
+Code that needs only a part of the package therefore does not wait for all parts. An argument that
+does not fit is a ValueError that names the argument.
 """
 
 from ilctools import lazily

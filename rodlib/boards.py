@@ -1,7 +1,8 @@
 """The Temperature Control Lab: a board with two heaters and two thermometers, as a rig.
 
-It is a kit to learn control with. Its own package, tclab, talks to it and brings an emulator; the
-two differ in what time is, which is hidden here. The extra ``rodlib[tclab]`` installs it.
+The board is a kit to learn control with. The package tclab connects to the kit and also contains an
+emulator. Time runs differently for kit and emulator; this module hides the difference. The extra
+``rodlib[tclab]`` installs tclab.
 """
 
 import random
@@ -14,35 +15,37 @@ from scipy.signal import cont2discrete
 from ilctools import arguments
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
-LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
+LAST = 60.0  # s: the readings at rest are averaged over this last part of the first wait
 
 
 class TemperatureControlLab:
     """The kit or its emulator, around a state of rest in which both heaters are on.
 
-    A heater that is off cannot cool; one that is on can be turned down. So :meth:`apply` takes
-    percents above those at rest, :meth:`read` gives kelvins above the temperatures at rest, and
-    every trial begins there. These are the mean of the last minute before the first trial: the
-    emulator is 0.15 K below its rest then, after 300 s 3.5 K. Heaters are cut off at 0 and 100 %.
+    A heater that is switched off cannot cool, but a heater that is on can be turned down. Therefore
+    :meth:`apply` takes heaters relative to the state of rest, in percent, and :meth:`read` returns
+    temperatures relative to the state of rest, in kelvin. Every trial begins at rest. The
+    temperatures at rest are the mean over the last minute before the first trial. The emulator is
+    then 0.15 K below its rest; after 300 s it would be 3.5 K below. Heaters saturate at 0 and
+    100 %.
 
     Parameters
     ----------
     kit : bool
-        Whether to connect to the kit. Default: the emulator, whose time is computed and not waited
-        for.
+        Whether to connect to the kit. Default: the emulator, which computes its time and does not
+        wait.
     rest : (float, float)
         The heaters at rest, %.
     Ts : float
         Sampling period, s.
     wait : float
-        How long both heaters are held at rest before a trial, s; at least a minute.
+        Time for which both heaters are held at rest before a trial, s; at least a minute.
     seed : int
-        Of the emulator's noise, which comes from Python's own generator of random numbers.
+        Seed of the emulator's noise, which comes from Python's own generator of random numbers.
 
     See Also
     --------
-    heat_balance : a model of it
-    record : trials on it
+    heat_balance : a model of the board
+    record : trials on the board
 
     Examples
     --------
@@ -77,23 +80,23 @@ class TemperatureControlLab:
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
         if not self.kit:
             random.seed(seed)
-            # its time begins when it is made, which is never the same
+            # the emulator's time begins when it is made, which differs from run to run
             self.lab.update(0.0)
         self.zero = None  # the temperatures at rest, degC
         self._due = self.clock()
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Lowest and highest heaters, %, above those at rest."""
+        """Lowest and highest value of each heater, %, relative to rest."""
         rest = zip(HEATERS, self.rest.tolist(), strict=True)
         return {name: (-percent, 100 - percent) for name, percent in rest}
 
     def clock(self) -> float:
-        """Time, s; the emulator's stands still between two samples."""
+        """Return the time, s; the emulator's time stands still between two samples."""
         return time.monotonic() if self.kit else self.lab.tlast
 
     def begin(self, trial: int) -> None:
-        """Wait for the state of rest; the first time, find the temperatures there."""
+        """Wait for the state of rest; in the first trial, also measure the temperatures at rest."""
         self._due = self.clock()
         readings = []
         for _ in range(round(self.wait / self.Ts)):
@@ -103,15 +106,15 @@ class TemperatureControlLab:
             self.zero = np.mean(readings[-round(LAST / self.Ts) :], axis=0)
 
     def read(self) -> np.ndarray:
-        """Temperatures above those at rest, K, shape (2,)."""
+        """Return the temperatures above the temperatures at rest, K, shape (2,)."""
         if self.zero is None:
             raise RuntimeError("the temperatures at rest are unknown: call begin first")
         return self._temperatures() - self.zero
 
     def apply(self, heaters) -> None:
-        """Set the heaters (%, above those at rest) and let one sampling period pass."""
+        """Set the heaters (%, relative to rest) and let one sampling period pass."""
         first, second = (self.rest + arguments.array("heaters", heaters, (2,))).tolist()
-        self.lab.Q1(first)  # cut off at 0 and 100 by tclab
+        self.lab.Q1(first)  # tclab saturates the heaters at 0 and 100
         self.lab.Q2(second)
         self._due += self.Ts
         if self.kit:
@@ -129,12 +132,13 @@ class TemperatureControlLab:
 
 
 def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
-    """Two heaters that warm each other and lose heat to the air, each with a slow thermometer.
+    """Model two heaters that warm each other and lose heat to the air, with slow thermometers.
 
     dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
 
-    From Q1, Q2 (%, held for Ts) to T1, T2 (K), all counted from a state of rest. The gains
-    are in K/s per %, loss and exchange in 1/s, the lag and Ts in s: positive, which is not checked.
+    The inputs are Q1, Q2 (%, held for Ts), and the outputs are T1, T2 (K). All are relative to a
+    state of rest. The gains are in K/s per %, loss and exchange in 1/s, the lag and Ts in s. All
+    must be positive, which is not checked.
 
     See Also
     --------
@@ -150,7 +154,7 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     """
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
-    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])  # of H1, H2, T1, T2
+    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])  # states H1, H2, T1, T2
     B = np.vstack([np.diag([gain_1, gain_2]), 0 * I])
     held = cont2discrete((A, B, np.eye(2, 4, 2), 0 * I), Ts)
     return control.ss(*held, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")

@@ -1,7 +1,7 @@
-"""The paper's case: its current-trial loop, and what stands in for its reference and disturbances.
+"""The paper's case, Section IV: its current-trial loop, with assumed reference and disturbances.
 
-Section IV. The reference trajectories and disturbances are published only as a plot (Fig. 7), so
-:func:`assumed_reference` and :func:`assumed_disturbance` stand in for them.
+The reference trajectories and disturbances are published only as a plot (Fig. 7).
+:func:`assumed_reference` and :func:`assumed_disturbance` therefore replace them.
 """
 
 from collections.abc import Sequence
@@ -15,23 +15,23 @@ from ilctools.loop.design import current_trial_loop
 from ilctools.models import minimal_realisation
 from rodlib.rod import PAPER_ROD, Rod, midr
 
-MOVES = (  # of each output, up, to the second plateau and down: from when to when, s of 2500
+MOVES = (  # for each output: up, to the second plateau, down; begin and end of each move, s of 2500
     ((100, 700), (1000, 1400), (1700, 2300)),
     ((200, 900), (1200, 1500), (1700, 2350)),
 )
 
 
 def paper_choices(**changes) -> dict:
-    """The paper's choices for the synthesis, Section IV-B, but for changes.
+    """Return the paper's choices for the synthesis, Section IV-B, with any changes.
 
-    They are keyword arguments of :func:`ilctools.synthesise`; L_max in K/K, band in rad/s; the
-    paper's L has no base. Its
-    design frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
+    The choices are keyword arguments of :func:`ilctools.synthesise`. L_max is in K/K, and the band
+    is in rad/s. The paper's L has no base. The paper's design frequencies are
+    ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
 
     See Also
     --------
-    synthesise : what takes them
-    paper_loop : the loop that they are for
+    synthesise : takes these choices
+    paper_loop : the loop for these choices
 
     Examples
     --------
@@ -68,12 +68,13 @@ def paper_loop(rod: Rod = PAPER_ROD, degree: int = 3, Ts: float = 1.0) -> Curren
     Returns
     -------
     CurrentTrialLoop
-        Controls Q1 and Q3 (W), disturbances theta_a (K), Q2 and Q4 (W); outputs y1 and y2 (K).
+        The loop has the controls Q1 and Q3 (W), the disturbances theta_a (K), Q2 and Q4 (W), and
+        the outputs y1 and y2 (K).
 
     See Also
     --------
-    current_trial_loop : around another plant
-    paper_choices : what the paper asks of the filter
+    current_trial_loop : the loop around another plant
+    paper_choices : the paper's bounds on the filter
 
     Examples
     --------
@@ -83,8 +84,8 @@ def paper_loop(rod: Rod = PAPER_ROD, degree: int = 3, Ts: float = 1.0) -> Curren
            [ 1.5513,  4.6324]])
     """
     arguments.instance("rod", rod, Rod)
-    # Beyond, states cannot be distinguished; and the poles of the loop would come closer to the
-    # unit circle than the square root of rounding, to which a Riccati solver finds them.
+    # Beyond this range, states cannot be distinguished. The poles of the loop would come closer
+    # to the unit circle than the square root of rounding, the accuracy of a Riccati solver.
     what = "a sampling period between 1e-5 and 1e4 s"
     Ts = arguments.number("Ts", Ts, what, 1e-5, 1e4)
     if (rod.sections, len(rod.sensors)) != (4, 2):
@@ -105,7 +106,7 @@ def assumed_reference(
     steepness: float = 1.0,
     plateaus: Sequence[Sequence[float]] = ((10.0, 6.0), (8.0, 10.0)),
 ) -> np.ndarray:
-    """Assumed reference trajectory, for the one that the paper shows as a plot only (Fig. 7).
+    """Return an assumed reference trajectory, as the paper shows its own as a plot only (Fig. 7).
 
     Both outputs start and end at the initial ambient temperature. In between they stay at two
     plateaus. They move along quintic steps, whose first and second derivatives are continuous.
@@ -113,21 +114,21 @@ def assumed_reference(
     Parameters
     ----------
     samples : int, default 2500
-        Length of the trial. The shape is stretched to it.
+        Length of the trial. The shape is stretched to this length.
     steepness : float, default 1.0
-        How steep the moves are, relative to the default; at least 0.7. The plateaus and the middle
-        of each move stay, but no move begins before the trial.
+        Steepness of the moves, relative to the default; at least 0.7. The plateaus and the middle
+        of each move do not change, but no move begins before the trial.
     plateaus : array_like, shape (2, 2), default ((10, 6), (8, 10))
         The two plateaus of each output, in K above the initial ambient temperature.
 
     Returns
     -------
     ndarray, shape (samples, 2)
-        In K above the initial ambient temperature.
+        The reference, in K above the initial ambient temperature.
 
     See Also
     --------
-    assumed_disturbance : what acts meanwhile
+    assumed_disturbance : the disturbance of the same trials
     run_trials : trials with both
 
     Examples
@@ -164,7 +165,7 @@ def assumed_disturbance(
     flows: Sequence[float] = (5.0, -4.0),
     duration: float = 0.5,
 ) -> np.ndarray:
-    """Assumed disturbances of Fig. 7: a pulse of the heat flows Q2 and Q4, from a trial on.
+    """Return assumed disturbances for Fig. 7: a pulse of Q2 and Q4, from one trial on.
 
     Parameters
     ----------
@@ -173,12 +174,12 @@ def assumed_disturbance(
     trials : int, default 10
         Number of trials.
     first : int, default 5
-        First trial with the disturbance, counted from 1. The later ones have the same.
+        First trial with the disturbance, counted from 1. All later trials have the same one.
     flows : array_like, shape (2,), default (5, -4)
         Peaks of Q2 and Q4, in W.
     duration : float, default 0.5
-        Length of a pulse, as a share of the trial; at most 0.7. Q2 begins at 0.2 of the trial, Q4
-        at 0.3.
+        Length of a pulse, as a share of the trial; at most 0.7. Q2 begins at 0.2 of the trial, and
+        Q4 begins at 0.3.
 
     Returns
     -------
@@ -187,7 +188,7 @@ def assumed_disturbance(
 
     See Also
     --------
-    assumed_reference : what the outputs are to follow
+    assumed_reference : the reference of the outputs
     run_trials : trials with both
 
     Examples

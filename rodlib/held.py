@@ -1,6 +1,6 @@
 """The rod behind a digital controller: between a zero-order hold and a sampler.
 
-No model of it is approximated: what is left out is below the rounding of the numbers.
+The response is not an approximate model: what is left out is below the rounding of the numbers.
 """
 
 import numpy as np
@@ -8,20 +8,20 @@ import numpy as np
 from ilctools import arguments
 from rodlib.rod import Rod, exact_response, modes
 
-MODES = 10_000  # the most that are summed: with 1000 frequencies they take 160 MB
+MODES = 10_000  # modes that are summed at most: with 1000 frequencies they take 160 MB
 
 
 def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
-    """Frequency response of the rod's equation (1)-(4) between a zero-order hold and a sampler.
+    """Compute the response of the rod's equation (1)-(4) between a zero-order hold and a sampler.
 
     The modes cos(n pi z / l), n = 0, 1, ..., of the rod decay with s_n = -(kappa_2 + lambda
     (n pi / l)^2) / kappa_1. With r_n for the static response of mode n and p_n = exp(s_n Ts),
 
         G(z) = sum_n r_n (1 - p_n) / (z - p_n).
 
-    The first N modes are summed like that. The others, infinitely many, have decayed after a
-    sample, p_n = 0: together they are one more sample's delay, with what the first N leave of
-    :func:`exact_response` at zero,
+    The first N modes are summed in this way. All further modes, infinitely many, have decayed after
+    one sample: p_n = 0. Together they act as a delay of one sample. Their gain is the part of
+    :func:`exact_response` at zero that the first N modes do not give,
 
         G(z) = sum_{n < N} r_n (1 - p_n) / (z - p_n) + (G(s = 0) - sum_{n < N} r_n) / z.
 
@@ -31,30 +31,31 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     omega : array_like, shape (n,)
         Angular frequencies, rad/s, from 0 to the Nyquist frequency pi / Ts.
     Ts : float
-        Sampling period, s; of the paper's rod 0.4 ms or more.
+        Sampling period, s; for the paper's rod 0.4 ms or more.
 
     Returns
     -------
     ndarray, shape (n, outputs, inputs), complex
-        Inputs and outputs in the order of :func:`midr`; theta_a is held like the heat flows.
+        Inputs and outputs are in the order of :func:`midr`. theta_a is held like the heat flows.
 
     See Also
     --------
-    exact_response : in continuous time
-    ClosedLoop.frequency_response : what takes such samples
+    exact_response : the response in continuous time
+    ClosedLoop.frequency_response : takes these samples as its plant
 
     Notes
     -----
-    What is left out, the poles p_n from mode N on, is below 1e-12 of the largest entry at each
-    frequency. With r = 1 / (b h l kappa_2) and x = lambda (N pi / l)^2 Ts / kappa_1 there is
-    |r_n| <= 2 r and p_n <= exp(-x n^2 / N^2), so that it is at most
+    The poles p_n from mode N on are left out. The error is below 1e-12 of the largest entry at each
+    frequency. Let r = 1 / (b h l kappa_2) and x = lambda (N pi / l)^2 Ts / kappa_1. Then
+    |r_n| <= 2 r and p_n <= exp(-x n^2 / N^2), so that the error is at most
 
         4 r sum_{n >= N} p_n <= 4 r e^-x (1 + N / 2x).
 
-    The same flow from all sections excites the uniform mode alone, so that the largest entry is no
-    smaller than r (1 - p_0) / 2; hence x = 40 - log(1 - p_0). The sum of all r_n is rounded to
-    about 1e-16 r, which is below 1e-10 of the largest entry if Ts > 1e-5 kappa_1 / kappa_2, 3 ms
-    for the paper's rig; with a shorter period that holds at low frequencies only.
+    The same flow from all sections excites the uniform mode alone. The largest entry is therefore
+    no smaller than r (1 - p_0) / 2, which gives x = 40 - log(1 - p_0). The sum of all r_n is
+    rounded to about 1e-16 r. The rounding is below 1e-10 of the largest entry if
+    Ts > 1e-5 kappa_1 / kappa_2, which is 3 ms for the paper's rig. With a shorter period, the
+    rounding is that small at low frequencies only.
 
     Examples
     --------
@@ -76,6 +77,6 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     z_minus_1 = np.expm1(1j * omega * Ts)[:, None]
     poles_minus_1 = np.expm1(s * Ts)
     G = np.tensordot(1 / (z_minus_1 - poles_minus_1), -poles_minus_1[:, None, None] * r, axes=1)
-    # Small terms first, which loses fewer digits.
+    # Small terms are added first, which loses fewer digits.
     others = exact_response(rod, 0.0)[0].real - r[::-1].sum(axis=0)
     return G + others / (1 + z_minus_1[:, :, None])

@@ -1,10 +1,11 @@
-"""A rig with Peltier elements, driven by currents: what the design takes for heat is not linear.
+"""A rig with Peltier elements, driven by currents: not linear in the heat flows of the design.
 
-The rod is cut into cells. Under each of its sections is an element, below that a sink with a fan. A
-current moves heat from the sink to the rod, heats both, and what is warmer gives heat back; the top
-of the rod loses heat by natural convection and radiation. An inner map turns the heat flow that the
-controller asks for into a current, with what the laboratory knows of its elements. All parameters
-are assumed: the paper gives none.
+The rod is cut into cells. Under each section of the rod is an element, and below the element is a
+sink with a fan. A current moves heat from the sink to the rod and heats both. The warmer side gives
+heat back to the colder side. The top of the rod loses heat by natural convection and radiation. An
+inner map turns the heat flow that the controller asks for into a current. The map uses the
+parameters of the elements that the laboratory knows. All parameters are assumed: the paper gives
+none.
 """
 
 from dataclasses import dataclass, replace
@@ -22,21 +23,22 @@ from rodlib.rod import Rod, finite_volumes
 class PeltierElement:
     """A Peltier element with constant parameters, in the usual one-dimensional model.
 
-    The defaults, rounded, are those of a common element of 127 couples and 6 A.
+    The defaults are the rounded parameters of a common element of 127 couples and 6 A.
 
     Notes
     -----
-    Of the Joule heat R I^2 half goes to each side, so that with absolute temperatures T
+    Half of the Joule heat R I^2 goes to each side. With absolute temperatures T, the heat flows are
 
         to the rod     S T_rod I + R I^2 / 2 - K (T_rod - T_sink)
         from the sink  S T_sink I - R I^2 / 2 - K (T_rod - T_sink) ,
 
-    and the difference is the electrical power S (T_rod - T_sink) I + R I^2. Model, and the way from
-    a data sheet to its parameters: S. Lineykin and S. Ben-Yaakov, "Modeling and analysis of
-    thermoelectric modules", IEEE Trans. Ind. Appl. 43(2), 2007.
+    and their difference is the electrical power S (T_rod - T_sink) I + R I^2. For the model, and
+    the way from a data sheet to its parameters, see S. Lineykin and S. Ben-Yaakov, "Modeling and
+    analysis of thermoelectric modules", IEEE Trans. Ind. Appl. 43(2), 2007.
 
-    A column of resistances, one a row, makes a :class:`PeltierRig` several rigs side by side: what
-    is read, applied and kept has a row for each, all see the same noise of the sensors.
+    With a column of resistances, a :class:`PeltierRig` simulates several rigs side by side, one for
+    each row. Readings, commands and states then have a row for each rig. All rigs have the same
+    sensor noise.
     """
 
     seebeck: float = 0.05  # S, V/K
@@ -52,17 +54,18 @@ class PeltierElement:
             arguments.not_negative(name, getattr(self, name))
 
     def heat(self, current, rod, sink):
-        """Heat flow to the rod, W, at a current (A) and the temperatures of both sides (K)."""
+        """Return the heat flow to the rod, W, from a current (A) and the temperatures (K)."""
         joule = self.resistance * np.square(current) / 2
         return self.seebeck * rod * current + joule - self.conductance * (rod - sink)
 
     def current(self, heat, rod, sink):
-        """The least current (A) that gives a heat flow (W); where it cannot cool so much, its best.
+        """Return the smallest current (A) that gives a heat flow (W).
 
-        Beyond S T_rod / R a current that cools heats more than it cools.
+        If the element cannot cool as much, the current with the most cooling is returned. Beyond
+        S T_rod / R, more cooling current adds more Joule heat than cooling.
         """
         peltier, twice = self.seebeck * rod, 2 * self.resistance
-        least = -(peltier**2) / (twice + 1e-300)  # none without Joule heat
+        least = -(peltier**2) / (twice + 1e-300)  # no limit without Joule heat
         wanted = np.maximum(heat + self.conductance * (rod - sink), least)
         root = np.sqrt(np.maximum(peltier**2 + twice * wanted, 0))
         return 2 * wanted / (peltier + root)
@@ -70,15 +73,16 @@ class PeltierElement:
 
 @dataclass(frozen=True)
 class PeltierParameters:
-    """Elements, sinks, surface and sensors of the rig, and what its laboratory knows; all assumed.
+    """Parameters of elements, sinks, surface and sensors of the rig, and of its inner map.
 
-    The convection is Nu = 0.54 Ra^(1/4) of a warm plate that faces up, area by perimeter its
-    length, in air at 300 K (W. H. McAdams, Heat Transmission, 1954; from Ra = 1e4 on, at 10 K it is
-    half of that). A cold rod has the same, which is too much.
+    All parameters are assumed. The convection is Nu = 0.54 Ra^(1/4), for a warm plate that faces up
+    in air at 300 K, with area by perimeter as its length (W. H. McAdams, Heat Transmission, 1954).
+    The formula holds from Ra = 1e4 on; at 10 K, Ra is half of this. A cold rod has the same
+    convection here, which is too much.
 
     See Also
     --------
-    PeltierRig : what has them
+    PeltierRig : the rig with these parameters
 
     Examples
     --------
@@ -90,12 +94,12 @@ class PeltierParameters:
     """
 
     element: PeltierElement = PeltierElement()
-    known: PeltierElement = PeltierElement()  # by which heat flows become currents
+    known: PeltierElement = PeltierElement()  # as the laboratory knows it, for the inner map
     sink_capacity: float = 400.0  # of one sink, J/K
-    fan: float = 4.0  # from one sink to the room, W/K
-    convection: float = 3.8  # from the rod, W/(m2 K^(5/4))
+    fan: float = 4.0  # heat transfer from one sink to the room, W/K
+    convection: float = 3.8  # coefficient of the rod, W/(m2 K^(5/4))
     emissivity: float = 0.8  # of an oxidised surface
-    temperature: float = 293.15  # of the room at first, K
+    temperature: float = 293.15  # initial temperature of the room, K
     lag: float = 2.0  # time constant of the sensors, s
     noise: float = 0.02  # standard deviation of the sensor noise, K
     quantum: float = 0.01  # resolution of the sensors, K
@@ -114,32 +118,33 @@ class PeltierParameters:
 
 
 class PeltierRig(Bench):
-    """A rod on Peltier elements in the laboratory, sample by sample.
+    """Simulate a rod on Peltier elements in the laboratory, sample by sample.
 
     Parameters
     ----------
     rod : Rod
-        Its `heat_transfer` is not used: what the rod loses follows from the elements and its
-        surface, see :attr:`linearised`.
+        The rod. Its `heat_transfer` is not used: the heat that the rod loses follows from the
+        elements and the surface, see :attr:`linearised`.
     parameters : PeltierParameters
     Ts : float
         Sampling period, s.
     seed : int
-        Of the sensor noise.
+        Seed of the sensor noise.
 
     See Also
     --------
-    RestartingPeltierRig : one that begins each trial at rest
-    VirtualRig : one that is linear
+    RestartingPeltierRig : a rig that begins each trial at rest
+    VirtualRig : a linear rig
 
     Notes
     -----
-    Cells of the rod exchange heat by conduction, with the elements by
-    :meth:`PeltierElement.heat`, each by its own temperature, and with the room by convection,
-    c |theta - theta_a|^(5/4), and radiation. A sink has C dT/dt = - (heat from it) - fan (T - T_a).
-    Currents are held for a period, which is one step of the exponential Runge-Kutta method of
-    second order (S. M. Cox and P. C. Matthews, J. Comput. Phys. 176, 2002, ETD2RK): conduction, fan
-    and lag, which are linear and fast, are integrated exactly.
+    Cells of the rod exchange heat with each other by conduction. Cells and elements exchange
+    heat by :meth:`PeltierElement.heat`, each cell at its own temperature. Cells and room exchange
+    heat by convection, c |theta - theta_a|^(5/4), and by radiation. A sink has
+    C dT/dt = - (heat from the sink) - fan (T - T_a). Currents are held for a period. Each period is
+    one step of the exponential Runge-Kutta method of second order (S. M. Cox and P. C. Matthews,
+    J. Comput. Phys. 176, 2002, ETD2RK). Conduction, fan and lag are linear and fast, and are
+    integrated exactly.
 
     Examples
     --------
@@ -160,18 +165,18 @@ class PeltierRig(Bench):
         arguments.instance("parameters", parameters, PeltierParameters)
         super().__init__(rod, parameters, Ts, seed)
         p, sections, m = parameters, rod.sections, len(rod.sensors)
-        # cells that conduct, but lose nothing to the air, or next to nothing: a Rod must lose some
+        # cells that conduct, but lose next to nothing to the air: a Rod must lose some heat
         conducting = finite_volumes(replace(rod, heat_transfer=1e-11), p.cells)
         cells, C = conducting.nstates, p.sink_capacity
         A = _linear_part(conducting, p)
         self._decay, self._first, self._second = _exponentials(A, self.Ts)
         self._sensors = np.eye(m, len(A), cells + sections)
 
-        # K/s of every state: for 1 W from the elements, and of what is half of the Joule heat
+        # K/s of every state: for 1 W from the elements, and for half of the Joule heat
         warmed = conducting.B[:, :-1]
         self._elements = np.hstack([warmed.T, -np.eye(sections) / C, np.zeros((sections, m))])
         self._halves = np.abs(self._elements) / 2
-        # for 1 K of the room, and for 1 W/m2 from the surface above each cell
+        # K/s of every state: for 1 K of the room, and for 1 W/m2 from the surface above each cell
         self._fan = np.repeat([0.0, p.fan / C, 0.0], [cells, sections, m])
         surface = np.repeat([1 / (rod.kappa_1 * rod.height), 0.0], [cells, sections + m])
         self._convection = p.convection * surface
@@ -186,14 +191,14 @@ class PeltierRig(Bench):
 
     @property
     def linearised(self) -> Rod:
-        """The rod that this is for small currents, with sinks at the temperature of the room."""
+        """The rod that equals this rig for small currents, with sinks at room temperature."""
         p, under = self.parameters, self.rod.width * self.rod.length / self.rod.sections
         radiation = 4 * p.emissivity * Stefan_Boltzmann * p.temperature**3
         return replace(self.rod, heat_transfer=p.element.conductance / under + radiation)
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Lowest and highest heat flow, W, that become a current of their own."""
+        """Lowest and highest heat flow of each element, W, beyond which its current saturates."""
         known, T = self.parameters.known, self.parameters.temperature
         limit = self.parameters.element.limit
         most = known.seebeck * T / known.resistance if known.resistance else np.inf
@@ -201,13 +206,13 @@ class PeltierRig(Bench):
         return dict.fromkeys(self.inputs, tuple(ends.tolist()))
 
     def apply(self, heat_flows) -> None:
-        """Ask for heat flows (W), shape (sections,), and let one sampling period pass."""
+        """Command heat flows (W), shape (sections,), and let one sampling period pass."""
         heat = arguments.array("heat_flows", heat_flows, self.currents.shape)
         p = self.parameters
         wanted = p.known.current(heat, p.temperature, p.temperature)
         limit = p.element.limit
         self.currents = np.minimum(np.maximum(wanted, -limit), limit)
-        # 1/s, by absolute temperatures
+        # 1/s, to be multiplied by absolute temperatures
         pumped = p.element.seebeck * self.currents @ self._elements
         joule = p.element.resistance * np.square(self.currents)
         constant = joule @ self._halves + self._fan * self.ambient
@@ -218,7 +223,7 @@ class PeltierRig(Bench):
         self.time += self.Ts
 
     def _slopes(self, state, pumped):
-        """What changes with the state and is not in the exponentials: K/s of every state."""
+        """The terms that depend on the state and are not in the exponentials, K/s by state."""
         above, hot = state - self.ambient, state + self.parameters.temperature
         lost = self._convection * np.sqrt(np.sqrt(np.abs(above))) * above
         return pumped * hot - lost - self._radiation * np.square(hot * hot)
@@ -229,7 +234,7 @@ class RestartingPeltierRig(Restarting, PeltierRig):
 
     See Also
     --------
-    PeltierRig : one that has to come to rest
+    PeltierRig : a rig that has to come to rest
     record : trials on a rig
 
     Examples
@@ -243,11 +248,11 @@ class RestartingPeltierRig(Restarting, PeltierRig):
 
 
 def _linear_part(conducting, p):
-    """A x: conduction in the rod, through the elements, from the sinks and into the sensors, K/s.
+    """A of conduction in the rod, through the elements, from the sinks and into the sensors, 1/s.
 
-    The states are cells, sinks and what the sensors show.
+    The states are the temperatures of cells and sinks, and the values that the sensors show.
     """
-    warmed, (m, _) = conducting.B[:, :-1], conducting.C.shape  # K/s of a cell, 1 W of an element
+    warmed, (m, _) = conducting.B[:, :-1], conducting.C.shape  # K/s of a cell for 1 W
     cells, sections = warmed.shape
     mean = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))  # of each section
     K, C, follows = p.element.conductance, p.sink_capacity, 1 / p.lag
@@ -262,9 +267,9 @@ def _linear_part(conducting, p):
 
 
 def _exponentials(A, Ts):
-    """E = exp(A Ts), int_0^Ts exp(A s) ds and int_0^Ts exp(A s) (1 - s / Ts) ds, for rows."""
+    """exp(A Ts), int_0^Ts exp(A s) ds and int_0^Ts exp(A s) (1 - s / Ts) ds, for row states."""
     one, zero = np.eye(len(A)), np.zeros(A.shape)
     blocks = expm(Ts * np.block([[A, one, zero], [zero, zero, one], [zero] * 3]))
-    # states are rows, so that those of several rigs are a matrix
+    # states are rows, so that the states of several rigs are a matrix
     decay, first, second = np.split(blocks[: len(A)].T.copy(), 3)
     return decay, first, second / Ts

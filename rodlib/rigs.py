@@ -1,8 +1,9 @@
-"""The virtual rig that stands in for the laboratory.
+"""The virtual rig that takes the place of the laboratory.
 
-It knows neither the design model nor what runs an experiment, but has material parameters of its
-own. Whoever has a real rod replaces that one object, see :class:`.protocol.Rig`. This
-one is linear; :mod:`rodlib.peltier_rig` is not, and recorded the logs in data/rig.
+The rig knows neither the design model nor what runs an experiment. The rig has its own material
+parameters. With a real rod, only the rig object is replaced, see :class:`.protocol.Rig`. The rig
+here is linear. The rig of :mod:`rodlib.peltier_rig` is not linear, and recorded the logs in
+data/rig.
 """
 
 from dataclasses import dataclass
@@ -12,19 +13,20 @@ import numpy as np
 from ilctools import arguments
 from rodlib.rod import Rod, modes
 
-# Material parameters off by several percent from those of the design model.
+# Material parameters that differ by several percent from the design model.
 MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
 
 
 @dataclass(frozen=True)
 class RigParameters:
-    """What makes the rig unlike the design model; all assumed, as the paper says nothing of it.
+    """Properties in which the rig differs from the design model.
 
-    The lag must differ from the time constants of the rod's modes.
+    All values are assumed, as the paper does not give them. The lag must differ from the time
+    constants of the rod's modes.
 
     See Also
     --------
-    VirtualRig : what has them
+    VirtualRig : the rig with these properties
 
     Examples
     --------
@@ -45,14 +47,14 @@ class RigParameters:
         arguments.whole("modes", self.modes, 1, 10_000)
         for name in ("noise", "quantum", "lag"):
             arguments.not_negative(name, getattr(self, name))
-        if np.any(self.limit != np.inf):  # which is none
+        if np.any(self.limit != np.inf):  # np.inf is no limit
             what = "a heat flow in W, 0 or more, or np.inf"
             arguments.not_negative("limit", self.limit, what)
         arguments.number("ambient_rate", self.ambient_rate, "a finite number")
 
 
 class Bench:
-    """What rigs have in common: a room that warms, noisy sensors, time that passes by samples."""
+    """The common part of all rigs: a warming room, noisy sensors, time that passes by samples."""
 
     def __init__(self, rod: Rod, parameters, Ts: float, seed: int):
         arguments.instance("rod", rod, Rod)
@@ -69,11 +71,11 @@ class Bench:
 
     @property
     def measured(self) -> dict[str, float]:
-        """What is measured besides the outputs: the ambient temperature."""
+        """The signals that are measured besides the outputs: the ambient temperature, K."""
         return {"theta_a": self.ambient}
 
     def clock(self) -> float:
-        """Time, s; here it stands still between two samples."""
+        """Return the time, s; time stands still between two samples here."""
         return self.time
 
     @property
@@ -91,8 +93,8 @@ class Bench:
 class Restarting:
     """A rig that begins every trial at rest, in a room at its initial temperature.
 
-    The sensor noise of a trial depends on `seed` and its number alone, so that an experiment may go
-    on in another process.
+    The sensor noise of a trial depends only on `seed` and on the number of the trial. An experiment
+    may therefore go on in another process.
     """
 
     def begin(self, trial: int) -> None:
@@ -104,7 +106,7 @@ class Restarting:
 
 
 class VirtualRig(Bench):
-    """A rod in the laboratory, sample by sample.
+    """Simulate a rod in the laboratory, sample by sample.
 
     Parameters
     ----------
@@ -113,18 +115,18 @@ class VirtualRig(Bench):
     Ts : float
         Sampling period, s.
     seed : int
-        Of the sensor noise.
+        Seed of the sensor noise.
 
     See Also
     --------
-    RestartingRig : one that begins each trial at rest
-    PeltierRig : one that is not linear
+    RestartingRig : a rig that begins each trial at rest
+    PeltierRig : a rig that is not linear
 
     Notes
     -----
-    With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) fall apart into one first-order equation per
-    mode. Commands are held for a period and pass the lag of the elements; both are integrated
-    exactly.
+    With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) separate into one first-order equation per
+    mode. Commands are held for a period and then pass the lag of the elements. Modes and lag are
+    integrated exactly.
 
     Examples
     --------
@@ -181,7 +183,7 @@ class RestartingRig(Restarting, VirtualRig):
 
     See Also
     --------
-    VirtualRig : one that has to cool down
+    VirtualRig : a rig that has to cool down
     record : trials on a rig
 
     Examples

@@ -1,9 +1,9 @@
 """The heated rod: its parameters, its partial differential equation, its state-space model.
 
-Section II of the paper. The rod obeys (1)-(4); :func:`midr` turns it into the ordinary
-differential equations (8), (9); :func:`exact_response` solves the same equations without
-approximation, in the frequency domain, and is what every approximation is measured against;
-:func:`rodlib.sampled_response` is the same behind a digital controller.
+Section II of the paper describes the rod by (1)-(4). :func:`midr` turns (1)-(4) into the ordinary
+differential equations (8), (9). :func:`exact_response` solves (1)-(4) without approximation, in the
+frequency domain, and every approximation is compared with this solution.
+:func:`rodlib.sampled_response` is the same solution behind a digital controller.
 """
 
 from dataclasses import dataclass, fields
@@ -19,12 +19,12 @@ from ilctools import arguments
 class Rod:
     """A metal rod, heated from below in equal sections and cooled from above by the air.
 
-    The defaults are the rig of the paper, Section IV. Lengths are in metres.
+    The defaults describe the rig of the paper, Section IV. Lengths are in metres.
 
     See Also
     --------
-    midr : its model of finite order
-    exact_response : its response, without approximation
+    midr : a model of finite order
+    exact_response : the response without approximation
 
     Examples
     --------
@@ -86,7 +86,7 @@ PAPER_ROD = Rod()  # Section IV
 
 
 def bernstein_basis(rod: Rod, degree: int) -> BPoly:
-    """Continuous piecewise polynomials in Bernstein form, (5)-(7), as functions of z (m).
+    """Return continuous piecewise polynomials in Bernstein form, (5)-(7), as functions of z (m).
 
     Neighbouring sections share their edge coefficient (7), so that ``sections * degree + 1`` basis
     functions remain. Coefficients are in the order of the state vector of (8).
@@ -98,38 +98,39 @@ def bernstein_basis(rod: Rod, degree: int) -> BPoly:
 
 
 def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
-    """State-space model (8), (9) of the rod by the method of integro-differential relations.
+    """Model the rod in state space, (8), (9), by the method of integro-differential relations.
 
     The temperature is a continuous piecewise polynomial (5). The heat flux follows from it by
     integrating the energy balance (1) from the insulated end z = 0,
 
         q(z) = int_0^z (mu + kappa_2 (theta_a - theta) - kappa_1 dtheta/dt),
 
-    so that (1) holds exactly, and so does q(0) = 0. What is left is the residual of Fourier's
-    law (2), xi = q + lambda dtheta/dz: on each section it is made orthogonal to the polynomials
-    of degree M - 1. The insulated end q(l) = 0 is the last equation.
+    so that (1) holds exactly, and so does q(0) = 0. Fourier's law (2) leaves the residual
+    xi = q + lambda dtheta/dz. On each section, xi is made orthogonal to the polynomials of degree
+    M - 1. The insulated end q(l) = 0 is the last equation.
 
     Parameters
     ----------
     rod : Rod
     degree : int, default 3
-        Degree M of the polynomials in each section, 20 or less: beyond, rounding takes over.
+        Degree M of the polynomials in each section, 20 or less. Above 20, rounding dominates.
 
     Returns
     -------
     control.StateSpace
-        Inputs Q1, Q2, ... (W) and theta_a (K), outputs y1, y2, ... (K), as deviations from the
-        initial ambient temperature; ``sections * degree + 1`` states, which are temperatures (K).
+        The model has the inputs Q1, Q2, ... (W) and theta_a (K), and the outputs y1, y2, ... (K).
+        Temperatures are deviations from the initial ambient temperature. The
+        ``sections * degree + 1`` states are temperatures (K).
 
     See Also
     --------
-    exact_response : without approximation
-    finite_volumes : by cells
+    exact_response : the response without approximation
+    finite_volumes : a model by cells
 
     Notes
     -----
-    The paper refers to its reference [8] for the procedure. This reading of it gives the numbers
-    that the paper prints, and equals Galerkin's method on the same polynomials.
+    The paper refers to its reference [8] for the procedure. As read here, the procedure gives the
+    numbers that the paper prints, and equals Galerkin's method on the same polynomials.
 
     Examples
     --------
@@ -146,7 +147,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     def supplied(z):  # integral of the heat flow of each section, (4)
         return np.clip((z[:, None] - rod.edges[:-1]) / section, 0, 1) / (rod.width * rod.height)
 
-    # What q(z) integrates: the storage of heat, the heat flows, the ambient air.
+    # q(z) integrates the storage of heat, the heat flows and the ambient air.
     G = _weighted(rod, degree, theta.antiderivative())
     S = _weighted(rod, degree, supplied)
     a = _weighted(rod, degree, lambda z: z[:, None])
@@ -160,7 +161,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
 
 
 def _weighted(rod, degree, function):
-    """Integrals of a function of z times polynomials on each section; below them, its value at l.
+    """Integrals of a function of z times polynomials on each section; the last row: value at l.
 
     The polynomials are Legendre's, of degree M - 1 or less.
     """
@@ -176,7 +177,7 @@ def _weighted(rod, degree, function):
 
 
 def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Modes cos(n pi z / l) of (1)-(4), into which theta falls apart: s, B, C for each n.
+    """Return s, B, C of the modes cos(n pi z / l) of (1)-(4), whose sum is theta, for each n.
 
     Their amplitudes T_n obey dT_n/dt = s_n T_n + (B u)_n with u the inputs of :func:`midr` and
     -kappa_1 s_n = kappa_2 + lambda (n pi / l)^2; the outputs are C T. The air excites the uniform
@@ -192,14 +193,15 @@ def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
-    """State-space model of the average temperatures of equal cells, and of the heat between them.
+    """Model the average temperatures of equal cells, and the heat between them, in state space.
 
-    By Fourier's law (2) between the middles of two cells, whose distance is dz,
+    Fourier's law (2) holds between the middles of two cells, whose distance is dz,
 
         kappa_1 dx_i/dt = lambda (x_(i-1) - 2 x_i + x_(i+1)) / dz^2 + mu_i + kappa_2 (theta_a - x_i)
 
     without a neighbour at the ends. Between the middles of two cells, sensors read the straight
-    line, beyond the outer ones the average. Heating makes no cell colder.
+    line. Beyond the middles of the outer cells, sensors read the average of the cell. Heating makes
+    no cell colder.
 
     Parameters
     ----------
@@ -210,13 +212,13 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
     Returns
     -------
     control.StateSpace
-        As :func:`midr`, with ``sections * cells`` states (K). The error falls with the square of
-        `cells`.
+        The model is as from :func:`midr`, with ``sections * cells`` states (K). The error falls
+        with the square of `cells`.
 
     See Also
     --------
-    midr : by polynomials
-    PeltierRig : what is made of them
+    midr : a model by polynomials
+    PeltierRig : a rig made of cells
 
     Examples
     --------
@@ -238,12 +240,12 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
 
 
 def labelled(rod: Rod, A, B, C) -> control.StateSpace:
-    """A model with the signals of a rod."""
+    """Return a model with the signal names of a rod."""
     return control.ss(A, B, C, 0, inputs=rod.inputs, outputs=rod.outputs, name="rod")
 
 
 def exact_response(rod: Rod, s) -> np.ndarray:
-    """Transfer function of the rod's equation (1)-(4) itself, without approximation.
+    """Compute the transfer function of the rod's equation (1)-(4), without approximation.
 
     With gamma(s)^2 = (kappa_1 s + kappa_2) / lambda the temperature obeys
     theta'' = gamma^2 theta - (mu + kappa_2 theta_a) / lambda with theta'(0) = theta'(l) = 0.
@@ -252,7 +254,8 @@ def exact_response(rod: Rod, s) -> np.ndarray:
         cosh(gamma (l - z)) sinh(gamma y) / sinh(gamma l),            y <= z,
         1 - cosh(gamma z) sinh(gamma (l - y)) / sinh(gamma l),        y > z.
 
-    A section is heated up to its higher edge, less what is heated up to its lower.
+    A heated section gives the value for y at its higher edge, less the value for y at its lower
+    edge.
 
     Parameters
     ----------
@@ -267,7 +270,7 @@ def exact_response(rod: Rod, s) -> np.ndarray:
 
     See Also
     --------
-    sampled_response : between a hold and a sampler
+    sampled_response : the response between a hold and a sampler
     midr : a model of finite order
 
     Examples
@@ -293,7 +296,7 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     exponentials = (1 + np.exp(-2 * gamma * from_end)) * np.expm1(-2 * gamma * heated)
     exponentials /= 2 * np.expm1(-2 * gamma * length)
     shares = np.where(below, 1, -1) * np.exp(gamma * (from_end + heated - length)) * exponentials
-    shares = np.diff(shares) - np.diff(below.astype(float))  # the 1 where z is, and else exactly 0
-    density = rod.sections / (rod.width * rod.height * length)  # of a heat flow, (4)
+    shares = np.diff(shares) - np.diff(below.astype(float))  # exactly 1 or 0: whether z is inside
+    density = rod.sections / (rod.width * rod.height * length)  # mu of a heat flow of 1 W, (4)
     # the air, which warms all of the rod alike, is the last input
     return np.insert(density * shares, rod.sections, rod.kappa_2, axis=2) / decay

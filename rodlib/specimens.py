@@ -1,7 +1,7 @@
-"""Rods that are not quite the nominal one, and the paper's loop around them.
+"""Rods that differ from the nominal rod, and the paper's loop around these rods.
 
-Material parameters, positions of sensors and gains of Peltier elements of a specimen are off. The
-controller stays as it was designed on the nominal model.
+A specimen has other material parameters, sensor positions and gains of Peltier elements than the
+nominal rod. The controller remains as it was designed for the nominal model.
 """
 
 from collections.abc import Sequence
@@ -18,18 +18,18 @@ from ilctools.threads import on_one_thread
 from rodlib.held import sampled_response
 from rodlib.rod import PAPER_ROD, Rod, labelled, midr
 
-BATCH = 100  # specimens that a worker takes at a time: some 0.1 s, long against handing them over
+BATCH = 100  # specimens that a worker takes at a time: some 0.1 s, long compared with the transfer
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A rod as it may be, with the heat flow that each element delivers per heat flow commanded.
+    """A rod as it may be, and for each element the heat flow delivered per commanded heat flow.
 
     See Also
     --------
-    draw : one at random
-    responses : the loop around it
+    draw : a random specimen
+    responses : the loop around specimens
 
     Examples
     --------
@@ -47,22 +47,23 @@ class Specimen:
         arguments.array("gains", self.gains, (self.rod.sections,))
 
     def model(self, Ts: float) -> control.StateSpace:
-        """The specimen behind a zero-order hold, by :func:`rodlib.midr` of degree 12."""
+        """Return the specimen behind a zero-order hold, by :func:`rodlib.midr` of degree 12."""
         model = midr(self.rod, degree=12)
-        B = model.B * np.append(self.gains, 1)  # of the elements, and of the air
+        B = model.B * np.append(self.gains, 1)  # columns of the elements, and of the air
         return control.sample_system(labelled(self.rod, model.A, B, model.C), Ts, method="zoh")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How far off a rod may be: each parameter by itself, uniformly from -spread to +spread.
+    """How far the parameters of a rod may differ from their nominal values.
 
-    Relative, 0.2 for 20 %, except for the sensors.
+    Each parameter deviates by itself, uniformly from -spread to +spread. A spread is relative, 0.2
+    for 20 %; the spread of the sensors is a length in metres.
 
     See Also
     --------
-    draw : rods within it
-    responses : the loop around them
+    draw : rods within a spread
+    responses : the loop around these rods
 
     Examples
     --------
@@ -75,7 +76,7 @@ class Spread:
     heat_capacity: float = 0.0
     heat_transfer: float = 0.0
     conductivity: float = 0.0
-    gains: float = 0.0  # heat flow of each Peltier element for the one commanded
+    gains: float = 0.0  # delivered heat flow of each Peltier element, relative to the command
     sensors: float = 0.0  # position of each sensor, m
 
     def __post_init__(self):
@@ -85,22 +86,27 @@ class Spread:
 
     @classmethod
     def of_all(cls, share: float, rod: Rod = PAPER_ROD) -> "Spread":
-        """Everything off by the same share; the sensors by that of half a section of `rod`."""
+        """Make a spread with the same share for all parameters.
+
+        The spread of the sensors is this share of half a section of `rod`.
+        """
         arguments.instance("rod", rod, Rod)
         _check_share("share", share)
         sensors = share * rod.length / rod.sections / 2
         return cls(*[share] * 5, sensors=sensors)
 
     def specimen(self, deviations, nominal: Rod = PAPER_ROD) -> Specimen:
-        """The rod that is off by these shares of the spread.
+        """Return the rod whose parameters deviate by these shares of the spread.
 
         Parameters
         ----------
         deviations : array_like, shape (4 + sections + sensors,)
-            From -1 to 1 within the spread: of the four material parameters in the order above, of
-            the gain of each Peltier element, of the position of each sensor.
+            The deviations as shares of the spread, from -1 to 1. First come the four material
+            parameters in the order above, then the gain of each Peltier element, then the position
+            of each sensor.
         nominal : Rod
-            Default: the paper's. A sensor beyond its end is a ValueError of :class:`rodlib.Rod`.
+            The nominal rod. Default: the paper's. A sensor beyond the end of the rod is a
+            ValueError of :class:`rodlib.Rod`.
         """
         arguments.instance("nominal", nominal, Rod)
         deviations = arguments.array("deviations", deviations, (_count(nominal),))
@@ -115,21 +121,23 @@ class Spread:
 
 
 def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER_ROD) -> Specimen:
-    """Draw a rod by number, the same one wherever and in whatever order it is drawn.
+    """Draw a random rod by its number.
+
+    The same number gives the same rod, wherever and in whatever order rods are drawn.
 
     Parameters
     ----------
     spread : Spread
     number, root : int
-        Number of the rod, and of the sequence to which it belongs, 0 or more. Another spread
-        stretches the same rod's deviations.
+        Number of the rod, and number of the sequence to which the rod belongs, 0 or more. With
+        another spread, the deviations of the rod are stretched.
     nominal : Rod
         As for :meth:`Spread.specimen`.
 
     See Also
     --------
-    Spread : how far off they are
-    responses : the loop around them
+    Spread : how far the rods may differ
+    responses : the loop around the rods
 
     Examples
     --------
@@ -148,33 +156,33 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER_ROD) -
 def responses(
     loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega, executor: Executor | None = None
 ) -> np.ndarray:
-    """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
+    """Compute P of (31) around each specimen, as plants for ``synthesise([...])``.
 
-    :meth:`CurrentTrialLoop.frequency_response` with the :func:`rodlib.sampled_response` of each
-    specimen.
+    The method is :meth:`CurrentTrialLoop.frequency_response`, with the
+    :func:`rodlib.sampled_response` of each specimen.
 
     Parameters
     ----------
     loop : CurrentTrialLoop
-        Of a rod.
+        The loop of a rod.
     specimens : list of Specimen
     omega : array_like, shape (n,)
         Angular frequencies, rad/s, from 0 to the Nyquist frequency.
     executor : concurrent.futures.Executor, optional
-        Where to compute: a pool of processes, or the one of an engine for clusters. The specimens
-        are handed over in batches of 100. The result does not depend on the number of workers.
-        Default: here.
+        The executor that computes: a pool of processes, or the executor of an engine for clusters.
+        The specimens are handed over in batches of 100. The result does not depend on the number of
+        workers. Default: this process.
 
     Returns
     -------
     ndarray, shape (specimens, n, m, m), complex
-        Meaningful where the loop around the specimen is stable, which is not checked: elsewhere
-        ``loop.around(specimen.model(loop.Ts))`` is a ValueError.
+        The responses, which are meaningful if the loop around the specimen is stable, which is not
+        checked. For an unstable loop, ``loop.around(specimen.model(loop.Ts))`` is a ValueError.
 
     See Also
     --------
     draw : specimens
-    synthesise : bounds that hold for all of them
+    synthesise : bounds that hold for all specimens
 
     Examples
     --------
@@ -211,7 +219,7 @@ def _responses(loop, omega, specimens):
 
 
 def _count(rod):
-    """Number of parameters that may be off."""
+    """Number of parameters that may deviate."""
     return len(MATERIAL) + rod.sections + len(rod.sensors)
 
 

@@ -1,7 +1,7 @@
-"""The workbench: move a slider and see what it does to the filter, in JupyterLab.
+"""The workbench for JupyterLab: move a slider and see its effect on the filter.
 
-:func:`try_out` designs a filter and simulates trials with it, :func:`plot` draws both, and
-:func:`open_workbench` puts a slider in front of each choice.
+:func:`try_out` designs a filter and simulates trials with the filter. :func:`plot` draws both.
+:func:`open_workbench` adds a slider for each choice.
 """
 
 import warnings
@@ -21,9 +21,9 @@ from ilctools.units import with_unit
 from rodlib.paper.figures import ACCENT, SHADES
 
 DESIGN_FREQUENCIES = (
-    236  # of the design: those of ten samples need none between; the paper has 1000
+    236  # frequencies of the design: filters of ten samples need no more; the paper has 1000
 )
-TRIALS, REST = 10, 15  # the latter: samples at the end of a trial in which v is zero
+TRIALS, REST = 10, 15  # REST: samples at the end of a trial in which v is zero
 LOOK = {"axes.autolimit_mode": "round_numbers", "axes.prop_cycle": cycler(color=SHADES)}
 BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
 
@@ -31,7 +31,7 @@ BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
 def try_out(
     loop, reference, disturbance=None, *, cutoff, noise=0.0, **choices
 ) -> tuple[Synthesis, xr.Dataset]:
-    """Design a filter for a loop with a model P, and simulate ten trials with it.
+    """Design a filter for a loop with a model P, and simulate ten trials.
 
     Parameters
     ----------
@@ -40,22 +40,24 @@ def try_out(
     cutoff : float
         Cut-off frequency (rad/s) of the Butterworth filter Q of second order.
     noise : float
-        Standard deviation of white noise in each output, in its unit, new in every trial.
+        Standard deviation of white noise in each output, in the unit of the output. Each trial has
+        new noise.
     **choices
-        Of :func:`ilctools.synthesise`: order, M_max, L_max, band, structure, ... By default bounds
-        hold between the design frequencies, too.
+        Arguments of :func:`ilctools.synthesise`: order, M_max, L_max, band, structure, ... By
+        default, the bounds also hold between the design frequencies.
 
     Returns
     -------
     design : Synthesis
-        With its certificate; where there is no filter, the synthesis says why, in an error.
+        The design, with its certificate. If there is no filter, the synthesis raises an error that
+        says why.
     trials : xarray.Dataset
         As :func:`ilctools.run_trials` returns them.
 
     See Also
     --------
-    plot : a picture of both
-    open_workbench : the same by sliders
+    plot : a picture of design and trials
+    open_workbench : the same with sliders
 
     Examples
     --------
@@ -75,22 +77,24 @@ def try_out(
 
 
 def open_workbench(loop, reference, disturbance=None, **choices):
-    """Sliders for the choices of :func:`try_out`; below them its picture and certificate.
+    """Show sliders for the choices of :func:`try_out`, with the picture and the certificate below.
 
-    Where there is no filter, the reason stands in their place.
+    If there is no filter, the reason is shown instead of picture and certificate.
 
     Parameters
     ----------
     loop, reference, disturbance
         As for :func:`try_out`.
     **choices
-        Of :func:`try_out`, to begin with; those without a slider stay. Default: M_max = 0.9, ten
-        samples, a cut-off of 0.1 / Ts, and L_max as :func:`ilctools.synthesise` chooses it.
+        Initial choices of :func:`try_out`. Choices without a slider do not change. Default:
+        M_max = 0.9, ten samples, a cut-off of 0.1 / Ts, and L_max as :func:`ilctools.synthesise`
+        chooses it.
 
     Returns
     -------
     ipywidgets.interactive
-        For the last line of a cell. Its `result` is the design that is shown, or None.
+        The sliders, for the last line of a cell. Their `result` is the design that is shown, or
+        None.
 
     See Also
     --------
@@ -107,7 +111,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
     >>> panel.result.law(rest=15).rest
     15
     """
-    # Here, because these come with the extra "notebooks".
+    # Imported here, because these packages come with the extra "notebooks".
     from IPython.core.pylabtools import print_figure
     from IPython.display import Image, display
     from ipywidgets import interactive
@@ -129,7 +133,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
 
 
 def _knobs(start, most_noise):
-    """A slider for each choice, at the value to begin with; it acts when it is let go."""
+    """A slider for each choice, at its initial value; a slider acts when it is released."""
     from ipywidgets import Dropdown, FloatSlider, IntSlider
 
     gain, cutoff = start["L_max"], start["cutoff"]
@@ -151,20 +155,20 @@ def _knobs(start, most_noise):
 
 @style.context(["rodlib.paper.style", LOOK])
 def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
-    """Draw a design of (39) as one would first look at it, with trials of its law.
+    """Draw a first overview of a design of (39), with trials of its law.
 
     Parameters
     ----------
     design : Synthesis
-        Its sigma_max(M) and sigma_max(L) over frequency, with their bounds and the mean in the
-        band, and its coefficients are drawn.
+        The design. The plot shows its sigma_max(M) and sigma_max(L) over frequency, with their
+        bounds and the mean in the band, and its coefficients.
     trials : xarray.Dataset
-        From :func:`ilctools.run_trials`: RMS(e_k) of each trial.
+        Trials from :func:`ilctools.run_trials`. The plot shows RMS(e_k) of each trial.
 
     Returns
     -------
     matplotlib.figure.Figure
-        To change, or to keep by its ``savefig``.
+        The figure, to change or to save by ``savefig``.
 
     See Also
     --------
@@ -206,6 +210,6 @@ def _draw_coefficients(axes, coefficients):
         look, label = "o-" if i == j else "x:", f"$L_{{{i + 1}{j + 1}}}$"
         axes.plot(np.arange(1, order + 1), coefficients[i, j], look, markersize=4, label=label)
     # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
-    # would decide into which of them.
+    # would choose the pixel.
     axes.set(title="coefficients of $L$", xlabel="samples ahead", xlim=(0.4, order + 0.6))
     axes.legend(fontsize=8)

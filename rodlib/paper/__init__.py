@@ -1,6 +1,6 @@
-"""What the compendium itself needs: printed numbers, ledger, figures, make reproduce, pages.
+"""Tools of the compendium itself: printed numbers, ledger, figures, make reproduce, pages.
 
-What a notebook needs of it comes from here; a name is imported when it is first used.
+Notebooks import their tools from here. A name is imported when it is first used.
 """
 
 from ilctools import lazily

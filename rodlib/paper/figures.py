@@ -1,4 +1,4 @@
-"""Figures as they are saved and shown; their style is ``plt.style.use("rodlib.paper.style")``."""
+"""Save and show figures; their style is ``plt.style.use("rodlib.paper.style")``."""
 
 from base64 import b64encode
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ BLACK = {"color": "black"}
 GRAY = {"color": "0.55"}
 BLACK_DASHED = BLACK | {"linestyle": "--"}
 GRAY_DASHED = GRAY | {"linestyle": "--"}
-# of channels: vermilion, blue, green and orange are Okabe and Ito's, which the colour-blind can
-# distinguish (their palette, 2008)
+# colours of channels: vermilion, blue, green and orange are from the palette of Okabe and Ito
+# (2008), which the colour-blind can distinguish
 SHADES = ("black", "0.55", "#D55E00", "#0072B2", "#009E73", "#E69F00")
 ACCENT = {"color": SHADES[2]}  # for what the paper does not show
 MARK = BLACK | {"linestyle": ":", "linewidth": 1}  # bounds, cut-offs, ends of a band, events
-# of designs, the same in all notebooks; (39) as in the paper's Figs. 6 and 11
+# looks of designs, the same in all notebooks; (39) is drawn as in the paper's Figs. 6 and 11
 LOOKS = {
     "(39), diagonal": BLACK,
     "(39), non-diagonal": GRAY_DASHED,
@@ -38,10 +38,10 @@ LOOKS = {
 
 @dataclass(frozen=True)
 class SavedFigure:
-    """A figure in a file. A notebook shows the file itself: what is read is what is published."""
+    """A figure in a file. A notebook shows the file itself, which is also what is published."""
 
     path: Path  # of the PNG file
-    width: int  # on the screen, in pixels; the file has more, for print
+    width: int  # on the screen, in pixels; the file has more pixels, for print
     caption: str
 
     def __repr__(self) -> str:
@@ -62,22 +62,22 @@ class SavedFigure:
 def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
-    The same bytes in every run; the PDF only where the PNG is not the same as in figures/ or the
-    PDF there is damaged, because it takes as long as all else. As the last expression of a cell,
-    the outcome shows the figure. The name begins with the paper's figure, as in
-    "fig04-frequency-response"; the caption says what is to be seen, in a sentence or two of plain
-    text that stand for themselves.
+    The files have the same bytes in every run. The PDF is written only if the PNG differs from the
+    one in figures/, or if the PDF there is damaged, because a PDF takes as long as all else. As the
+    last expression of a cell, the returned object shows the figure. The name begins with the
+    paper's figure, as in "fig04-frequency-response". The caption says what the figure shows, in one
+    or two sentences of plain text that can be read alone.
     """
     width = round(figure.get_figwidth() * figure.get_dpi())
     figure.set_dpi(PIXELS_PER_INCH)
     if layout := figure.get_layout_engine():
         layout.execute(figure)
-    figure.set_layout_engine("none")  # else computed anew at each drawing
+    figure.set_layout_engine("none")  # else the layout is computed at each drawing
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
     with replacing(picture) as temporary:  # without the entries that differ each time
         FigureCanvasAgg(figure).print_png(temporary, metadata={"Software": None})
     if not same_figure(picture, ROOT / "figures" / picture.name):
         with replacing(picture.with_suffix(".pdf")) as temporary:
             figure.savefig(temporary, format="pdf", metadata={"CreationDate": None})
-    plt.close(figure)  # or the notebook would draw it once more
+    plt.close(figure)  # or the notebook would draw the figure once more
     return SavedFigure(picture, width, caption)

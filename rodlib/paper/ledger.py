@@ -1,25 +1,33 @@
-"""The ledger: what the paper prints against what is computed here, and the verdict.
+"""The ledger compares what the paper prints with what is computed here, and gives verdicts.
 
-A number is *reproduced* if it agrees within its tolerance, half a unit of the last digit printed, a
-statement if the number that tests it meets its criterion, which is ours; otherwise it *differs*.
-Both stand in one column. A statement too vague for a criterion is *in words*: the row says how far
-it holds. Words are judged alike in both directions. "Small", "little" and "approximately" hold
-below a tenth, fail above a third, and are in words in between; so is, whichever way it comes out,
-what hangs on a choice of ours: a start, a reference found by search, one of several optimal
-filters, a signal or a rig. A claim whose verdict turns when the signals and rigs that we assume are
-varied is in words, with the range of its number. Where rigs of ours disagree, the row cannot be
-checked.
+A number is *reproduced* if it agrees within its tolerance, half a unit of the last printed digit. A
+statement is *reproduced* if the number that tests it meets its criterion, which is ours. Otherwise
+the number or the statement *differs*. Tolerance and criterion share one column. A statement too
+vague for a criterion is *in words*: its row says how far the statement holds.
 
-Counted apart, by kind: numbers that the paper *prints*; those *derived* from printed ones, where
-the entries depend on coordinates; statements that its model and design decide, and statements that
-only signals or a rig that we assume can test; *misprints*. Not counted is what could hardly differ:
-parameters *taken over* from the paper; an *identity*, which is imposed, or algebra, or follows from
-another row: a double zero counts once.
+Words are judged alike in both directions. "Small", "little" and "approximately" hold below a tenth,
+fail above a third, and are in words in between. A claim is also in words, whichever way it comes
+out, if it depends on a choice of ours. The choice may be an initial condition, a reference found by
+search, one of several optimal filters, a signal or a rig. A claim is in words, too, if its verdict
+changes when the signals and rigs that we assume are varied. Its row then has the range of the
+number. If our rigs disagree, the row cannot be checked.
 
-A number is shown to the last digit that the paper prints, one that tests a statement in words with
-five significant digits, and judged as it is shown: more would say nothing about the agreement, and
-the coefficients of a flat optimum are not determined further. Where rounding moves numbers by one
-unit of the last digit shown, the ledger stays as it is.
+The verdicts are counted by kind:
+
+- numbers that the paper *prints*;
+- numbers *derived* from printed ones, where the entries depend on coordinates;
+- statements that the paper's model and design decide;
+- statements that only assumed signals or an assumed rig can test;
+- *misprints*.
+
+Rows that could hardly differ are not counted: parameters *taken over* from the paper, and each
+*identity*. An identity is imposed, or is algebra, or follows from another row: a double zero
+counts once.
+
+A number is shown to the last digit that the paper prints. A number that tests a statement in words
+has five significant digits. Each number is judged as it is shown. More digits would not say more
+about the agreement, and the coefficients of a flat optimum are not determined further. If rounding
+moves numbers by one unit of the last digit shown, the ledger does not change.
 """
 
 import json
@@ -41,7 +49,7 @@ IN_WORDS, UNCHECKED = "in words", "cannot be checked"
 OTHER = "not the paper's parameters"
 VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
 DEVIATIONS = Path(__file__).with_name("deviations.md")
-SENTENCE_PREFIX = "words: "  # of a criterion that is a sentence with a place for the number
+SENTENCE_PREFIX = "words: "  # begins a criterion that is a sentence with a place for the number
 KINDS = {
     "printed": "printed numbers",
     "derived": "invariants of the feedback gains, for 40 printed entries",
@@ -52,10 +60,10 @@ KINDS = {
     "taken over": "taken over; could hardly differ",
     "identity": "imposed or algebra; could hardly differ",
 }
-LEAST_SHOWN = 1e-9  # what is smaller is rounding, and not the same on two machines
+LEAST_SHOWN = 1e-9  # smaller numbers are rounding, and differ between machines
 BELOW_LEAST = f"below {LEAST_SHOWN:g}"
-SIGNIFICANT = 5  # digits of a number that tests a statement in words
-TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # as a notebook shows it
+SIGNIFICANT = 5  # digits, for a number that tests a statement in words
+TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # columns that a notebook shows
 COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
@@ -73,7 +81,7 @@ class Rule(NamedTuple):
 
 
 def rule(claim: Claim) -> Rule:
-    """By what the number of a claim is judged."""
+    """Return the rule that judges the number of a claim."""
     if not claim.criterion:
         return Rule(published.value(claim.printed), published.half_unit(claim.printed))
     if " +- " in claim.criterion:
@@ -83,7 +91,7 @@ def rule(claim: Claim) -> Rule:
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
-    """A verdict, and the deviation from the printed number, or from a criterion missed."""
+    """Return the verdict, and the deviation from the printed number or from a missed criterion."""
     number, tolerance, relation = rule(claim)
     deviation = computed - number
     if relation:
@@ -93,7 +101,7 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
 
 
 def judged(claim: Claim, computed: float) -> dict[str, str]:
-    """What a row says of a computed number."""
+    """Return the entries of a row for a computed number."""
     if claim.criterion == UNCHECKED:
         return {"verdict": UNCHECKED}
     value = float(computed)
@@ -112,7 +120,7 @@ def judged(claim: Claim, computed: float) -> dict[str, str]:
 
 
 def shown(claim: Claim, value: float) -> str:
-    """A computed number with as many digits as are printed."""
+    """Return a computed number as text, with as many digits as the paper prints."""
     if 0 < abs(value) <= LEAST_SHOWN:
         return BELOW_LEAST
     places = published.decimals(claim.printed)
@@ -120,25 +128,25 @@ def shown(claim: Claim, value: float) -> str:
 
 
 class Ledger:
-    """The rows of one notebook, by its name, in which pandas then shows whole sentences.
+    """The rows of one notebook, which is given by its name.
 
-    If one of its parameters that the paper prints, by key, is not exactly the paper's, no row gets
-    a verdict.
+    In the notebook, pandas then shows whole sentences. `parameters` are the notebook's parameters
+    that the paper prints, by key. If a parameter is not exactly the paper's, no row gets a verdict.
     """
 
     def __init__(self, notebook: str, **parameters):
         pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
         self.notebook, self.rows, claims = notebook, {}, published.claims()
         self.papers_parameters = all(
-            value == published.value(claims[key].printed)  # a choice has no rounding
+            value == published.value(claims[key].printed)  # a chosen value has no rounding
             for key, value in parameters.items()
         )
 
     def record(self, key: str, computed=None) -> None:
         """Enter what was computed for the claim `key`, or for a printed matrix of that name.
 
-        A matrix has the shape that :func:`rodlib.paper.published.matrix` gives it; None stands for
-        what cannot be checked.
+        A matrix has the shape of :func:`rodlib.paper.published.matrix`. None stands for a claim
+        that cannot be checked.
         """
         if key in published.PRINTED_MATRICES:
             for entry, name in np.ndenumerate(published.keys(key)):
@@ -154,44 +162,45 @@ class Ledger:
         self.rows[key] = row
 
     def table(self) -> pd.DataFrame:
-        """The rows recorded so far, in the order of the paper: those that differ first."""
+        """Return the rows recorded so far, in the order of the paper; those that differ first."""
         return differing_first(self.frame()).set_index("place")[TABLE]
 
     def save(self) -> None:
-        """Write the rows to build/ledger, or to the folder of the run, which joins them."""
+        """Write the rows to build/ledger, or to the folder of the run, which joins all rows."""
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
         notebook = ROOT / "notebooks" / f"{self.notebook}.ipynb"
-        cell = json.loads(notebook.read_text("utf-8"))["cells"][-1]["id"]  # the last records them
+        cell = json.loads(notebook.read_text("utf-8"))["cells"][-1]["id"]  # the last one records
         rows = self.frame().assign(notebook=self.notebook, cell=cell)
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
     def frame(self) -> pd.DataFrame:
-        """The rows recorded so far, in the order of the paper."""
+        """Return the rows recorded so far, in the order of the paper."""
         rows = [self.rows[key] for key in published.claims() if key in self.rows]
         return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def differing_first(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows in their order, but those that differ before all others."""
+    """Return the rows in their order, with the rows that differ before all others."""
     return rows.sort_values("verdict", key=lambda verdicts: verdicts != DIFFERS, kind="stable")
 
 
 def join(parts: Path) -> pd.DataFrame:
-    """The rows of all notebooks, a CSV file each, in the order of the paper: one for each claim.
+    """Join the rows of all notebooks, one CSV file each, in the order of the paper.
 
-    A claim with two rows is a ValueError, one without a row a KeyError; both name it.
+    Each claim has one row. A claim with two rows is a ValueError, and a claim without a row is a
+    KeyError. Both errors name the claim.
     """
     rows = pd.concat([*map(read, sorted(parts.glob("*.csv")))], verify_integrity=True)
     return rows.loc[list(published.claims())]
 
 
 def read(path):
-    """The rows of a CSV file as text, by key."""
+    """Read the rows of a CSV file as text, by key."""
     return pd.read_csv(path, index_col="key", dtype=str, keep_default_na=False)
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """What the README says: of what could have differed, how many agree, and which do not."""
+    """Return the README's text: how many claims that could differ agree, and which do not."""
     counts, lines = counted(rows), []
     for name in COUNTED:
         agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]
@@ -208,13 +217,13 @@ def summary(rows: pd.DataFrame) -> str:
 
 
 def counted(rows: pd.DataFrame) -> pd.DataFrame:
-    """How many claims of each kind got which verdict."""
+    """Count the claims of each kind by verdict."""
     counts = pd.crosstab(rows.kind, rows.verdict)
     return counts.reindex(index=KINDS, columns=VERDICTS, fill_value=0)
 
 
 def markdown(rows: pd.DataFrame) -> str:
-    """The whole ledger as a readable page, with what we do otherwise than the paper."""
+    """Return the ledger as a readable page, with our deviations from the paper."""
     rows = differing_first(rows)
     notes = "<br>*" + rows.place + rows.note.map(lambda note: note and f". {note}") + "*"
     cells = "](../notebooks/" + rows.notebook + ".ipynb#cell-id=" + rows.cell + ")"
@@ -266,7 +275,7 @@ Each verdict leads to the cell that computes the number.
 
 
 def splice(text: str, name: str, content: str) -> str:
-    """Replace what stands between the two markers `name` of a Markdown text."""
+    """Replace the text between the two markers `name` in a Markdown text."""
     begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
     before, _, rest = text.partition(begin)
     _, found, after = rest.partition(end)
@@ -276,16 +285,19 @@ def splice(text: str, name: str, content: str) -> str:
 
 
 def publish(build: Path, root: Path) -> None:
-    """Put what a complete run has changed into figures/ and the README; git mends half of it."""
+    """Copy what a complete run has changed to figures/ and the README.
+
+    If the copy is interrupted, git can restore the files.
+    """
     for name in changed(build, root):
         write_pieces(root / name, [(build / name).read_bytes()])
 
 
 def changed(build: Path, root: Path) -> list[str]:
-    """Print and return which files a reader sees changed by a run.
+    """Print and return the names of the files that a run has visibly changed.
 
-    The texts are written to `build`, under the names that they have in the repository. Computed
-    numbers stay as they are tracked, if all of them are the same to a reader.
+    The texts are written to `build`, under their names in the repository. If a reader cannot
+    distinguish the computed numbers from the tracked ones, the tracked numbers are kept.
     """
     rows, tracked = join(build / "ledger"), read(root / "figures" / "ledger.csv")
     if same_text(*(table[["computed", "verdict"]].to_csv() for table in (rows, tracked))):

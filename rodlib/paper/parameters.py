@@ -1,18 +1,20 @@
-"""The parameters of a notebook: what they may be, and whether they are those of the text.
+"""Check the parameters of a notebook, and whether the text was written for these values.
 
-A notebook takes other parameters, by papermill or by hand. Below the cell that has them stands one
-call, which refuses in one sentence what no cell could use, and says of a choice that is not the
-text's own that the text was written for another one.
+A user can change the parameters of a notebook, by papermill or by hand. Below the cell with the
+parameters, the notebook calls :func:`checked`. The call refuses values that no cell could use, with
+a message of one sentence. If a value is not the default, the call displays that the text was
+written for another value.
 """
 
 from ilctools.arguments import number, whole
 
 
 def checked(**parameters: tuple) -> dict:
-    """The values of parameters, by name, each in its range, or a ValueError that names it.
+    """Return the values of parameters by name; a ValueError names a value outside its range.
 
-    For a number (value, default, least, most), both ends included, and a whole number if these are
-    whole; for all else (value, default), which is only compared.
+    A number is passed as (value, default, least, most), with both ends included. If both ends are
+    whole, the number must be whole, too. Any other parameter is passed as (value, default), and is
+    only compared with its default.
     """
     for name, (value, _, *ends) in parameters.items():
         if ends and all(isinstance(end, int) for end in ends):

@@ -1,8 +1,8 @@
-"""Every number that the paper prints, as printed, with where it stands.
+"""Every number that the paper prints, as printed, with its place in the paper.
 
-The data are in data/published; a wheel has them in rodlib/paper/printed. ``claims.csv`` holds
-single numbers, and statements in words with the criterion that we test them by; one file each holds
-the matrices. Numbers are kept as strings, because their last digit says how precise they are.
+The data are in data/published. A wheel has them in rodlib/paper/printed. ``claims.csv`` contains
+single numbers, and statements in words with the criterion by which we test them. Each matrix has
+its own file. Numbers are kept as strings, because their last digit shows how precise they are.
 """
 
 import re
@@ -36,7 +36,7 @@ class Claim:
 
 
 def value(printed: str) -> float:
-    """Value of a printed number: decimal, fraction ("3/8"), power of ten ("10^-4") or "pi"."""
+    """Return the value of a printed decimal, fraction ("3/8"), power of ten ("10^-4") or "pi"."""
     if printed == "pi":
         return float(np.pi)
     if power := re.fullmatch(r"10\^(-?\d+)", printed):
@@ -45,12 +45,12 @@ def value(printed: str) -> float:
 
 
 def decimals(printed: str) -> int | None:
-    """Number of printed digits after the point; None for fractions, powers, pi and words."""
+    """Count the printed digits after the point; None for fractions, powers, pi and words."""
     return len(printed.partition(".")[2]) if re.fullmatch(r"-?\d+(\.\d+)?", printed) else None
 
 
 def half_unit(printed: str) -> float:
-    """Half a unit of the last printed digit; for fractions, powers and pi, rounding errors only."""
+    """Return half a unit of the last printed digit; rounding for fractions, powers and pi."""
     places = decimals(printed)
     return 1e-12 * abs(value(printed)) if places is None else 0.5 * 10.0**-places
 
@@ -60,19 +60,19 @@ def _table(name):
 
 
 def matrix(name: str) -> np.ndarray:
-    """A printed matrix, one of `PRINTED_MATRICES`, filters with the shape of their coefficients."""
+    """Return one of `PRINTED_MATRICES`; a filter has the shape of its coefficients."""
     return _arranged(name, _table(name).map(value).to_numpy())
 
 
 def keys(name: str) -> np.ndarray:
-    """Keys of the claims that a matrix makes, in its place; "" where it is zero by structure."""
+    """Return the claim key of each entry of a matrix; "" if the entry is zero by structure."""
     table = _table(name)
     entries = [[f"{name}[{row},{column}]" for column in table] for row in table.index]
     return _arranged(name, np.array(entries))
 
 
 def _arranged(name, table):
-    """What stands in a file's table, in the shape of the matrix."""
+    """The entries of a file's table, in the shape of the matrix."""
     if name == "K_s":
         return table.T
     if name == "L_diagonal":
@@ -84,7 +84,7 @@ def _arranged(name, table):
 
 @cache
 def claims() -> dict[str, Claim]:
-    """All numbers and statements by key, in the order of the paper.
+    """Return all numbers and statements by key, in the order of the paper.
 
     An entry of a matrix has a key like "N[1,2]": row and column as in its file, from one.
     """
@@ -95,10 +95,10 @@ def claims() -> dict[str, Claim]:
 
 
 def _entries(claim):
-    """The claims that a matrix makes."""
+    """The claims of a matrix, one for each entry."""
     for (row, column), printed in _table(claim.key).stack().items():
         entry = f"[{row},{column}]"
-        # The observer's last two rows are of the disturbance: no state coordinates.
+        # The observer's last two rows belong to the disturbance: no state coordinates.
         kind = "printed" if claim.key == "K_L" and row in ("11", "12") else claim.kind
         name = {"key": claim.key + entry, "claim": claim.claim + entry}
         yield replace(claim, **name, printed=printed, kind=kind)

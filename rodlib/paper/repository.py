@@ -7,7 +7,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def checkout(what: str, root: Path = ROOT) -> Path:
-    """The clone that `what` writes to; a RuntimeError where `root` is not one."""
+    """Return the clone that `what` writes to; a RuntimeError if `root` is not a clone."""
     project = root / "pyproject.toml"
     if project.is_file() and 'name = "rodlib"' in project.read_text(encoding="utf-8"):
         return root
@@ -18,6 +18,6 @@ def checkout(what: str, root: Path = ROOT) -> Path:
 
 
 def results(what: str) -> Path:
-    """Where `what` saves: in build/, or in the folder of the run that the notebook is part of."""
+    """Return the folder in which `what` saves: build/, or the folder of the notebook's run."""
     build = checkout(what) / "build"
     return Path(os.environ.get("RODLIB_RESULTS") or build)

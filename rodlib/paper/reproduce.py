@@ -1,7 +1,7 @@
-"""All notebooks end to end, and their results published: what ``make reproduce`` runs.
+"""Run all notebooks end to end and publish their results, as ``make reproduce`` does.
 
-Notebooks, figures and parts of the ledger go to build/reproduce; only when all have succeeded, to
-figures/ and the README.
+Notebooks, figures and parts of the ledger go to build/reproduce. Only when all notebooks have
+succeeded, the results go to figures/ and the README.
 """
 
 import os
@@ -21,7 +21,7 @@ AT_A_TIME = 2  # with three, two processors take 5 % more CPU, and 4 % less time
 def execute(notebook: Path, executed: Path) -> None:
     """Execute a notebook in its own folder, in a new kernel.
 
-    papermill replaces what stands in braces in a path, so that neither may have any.
+    papermill replaces any text in braces in a path. Neither of the two paths may contain braces.
     """
     import papermill
 
@@ -30,21 +30,22 @@ def execute(notebook: Path, executed: Path) -> None:
         executed,
         progress_bar=False,
         request_save_on_cell_execute=False,
-        # papermill's own `cwd` is that of the whole process, not of one thread
+        # papermill's own `cwd` applies to the whole process, not to one thread
         resources={"metadata": {"path": str(notebook.parent)}},
-        shutdown_kernel="immediate",  # all is written by then
+        shutdown_kernel="immediate",  # everything is written by then
     )
 
 
 def longest_first(root: Path) -> list[Path]:
-    """The notebooks, the last first: the long ones are among them, and must not start late."""
+    """Return the notebooks, the last first: the long ones are among these and must start early."""
     return sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
 
 
 def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing.
 
-    One run at a time: it begins with an empty folder, to which the kernels of this process save.
+    Only one run may be active. A run begins with an empty folder, to which the kernels of this
+    process save.
     """
     build = folder(checkout("make reproduce", root) / "build")
     refusal = f"make reproduce is already running in {root}: wait until it has ended"
@@ -60,14 +61,14 @@ def reproduce(root: Path = ROOT) -> None:
             path = running[done]
             if error := done.exception():
                 pool.shutdown(cancel_futures=True)
-                said = getattr(error, "evalue", error)  # of a cell: papermill's has all of it
+                said = getattr(error, "evalue", error)  # papermill's text has the whole cell
                 raise RuntimeError(f"{path.stem} failed: {said}\nSee {results / path.name}")
             print(f"{path.stem} ... done", flush=True)
         publish(results, root)
 
 
 def main(root: Path = ROOT) -> None:
-    """Reproduce, and leave with a message if that fails."""
+    """Reproduce, and exit with a message if this fails."""
     # Ctrl-C ends at once; the kernels follow
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:

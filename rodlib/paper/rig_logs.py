@@ -1,7 +1,7 @@
-"""Records the logs of a virtual rig in data/rig: ``python -m rodlib.paper.rig_logs``.
+"""Record the logs of a virtual rig in data/rig: ``python -m rodlib.paper.rig_logs``.
 
-The rig is one with Peltier elements. Its map from heat flow to current is proportional, as if there
-were no Joule heat: with the inverse, an exact model would stand between controller and rod.
+The rig has Peltier elements. Its map from heat flow to current is proportional, as if there were no
+Joule heat. The inverse map would be an exact model between controller and rod.
 """
 
 import json
@@ -17,32 +17,33 @@ from rodlib.paper.repository import checkout
 from rodlib.peltier_rig import PeltierElement, PeltierParameters, PeltierRig
 
 PARAMETERS = PeltierParameters(known=PeltierElement(resistance=0.0))
-# As many digits as are recorded: heat flows in 0.1 mW, temperatures in 0.1 mK, v in 1 uK.
+# Recorded digits: heat flows in 0.1 mW, temperatures in 0.1 mK, v in 1 uK.
 DECIMALS = {"v": 6, "u": 4, "delta": 4, "disturbance": 4}
 
 
 def experiment() -> dict:
-    """The experiment of both logs, without rig and law, as `record` takes it."""
+    """Return the arguments of `record` for both logs, without rig and law."""
     return {
         "loop": paper_loop(),
         "reference": np.round(assumed_reference(), 6),
         "disturbance": np.round(assumed_disturbance(), 6),
         "decimals": DECIMALS,
-        "pause": 600,  # assumed, as all of this
+        "pause": 600,  # assumed, as are all these values
     }
 
 
 def record_logs():
-    """Record the two experiments of data/rig; the same bytes in every run on one machine.
+    """Record the two experiments of data/rig.
 
-    Elsewhere the loop of the metadata may differ in its last digits; signals are rounded.
+    Every run on one machine writes the same bytes. On another machine, the loop of the metadata may
+    differ in its last digits. The signals are rounded.
     """
     folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
     printed = LearningFilter(published.matrix("L_diagonal"), 1.0)
     for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):
         print(f"recording {name} ...", flush=True)
         rig = PeltierRig(parameters=PARAMETERS, seed=seed)
-        # The paper's law has no limits; what is asked for stays within the rig's.
+        # The paper's law has no limits. The commands stay within the rig's limits.
         law = Law(zero_phase_butterworth(2, 0.1, 1.0), L, limits={})
         log = record(rig, law=law, **experiment())
         log.attrs["origin"] = "synthetic: virtual rig with Peltier elements, no laboratory data"

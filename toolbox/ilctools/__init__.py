@@ -1,6 +1,6 @@
 """Iterative learning control: learning filters with certificates, for any plant.
 
-A name is imported when it is first used, so that what needs only a part does not wait for all.
+A name is imported when it is first used. Code that needs only a part does not wait for the rest.
 """
 
 from collections.abc import Sequence
@@ -36,9 +36,10 @@ MODULES = {
 
 
 def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
-    """``__getattr__``, ``__dir__`` and ``__all__`` of a package: names of its modules, and rooms.
+    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package, from names and rooms.
 
-    Rooms are modules whose own names are looked up there.
+    `modules` has the names by the module that defines them. Rooms are modules whose own names are
+    looked up in the room.
     """
     home = {
         name: f"{package}.{module}" for module, names in modules.items() for name in names.split()

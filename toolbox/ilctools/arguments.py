@@ -1,7 +1,7 @@
-"""Arguments are checked at the door, and here is how: one clear error, before any work.
+"""Checks of arguments at entry points: one clear error, before any work.
 
-Each function returns the argument in the type that the code behind the door expects, or raises a
-ValueError that names the argument, its value and what it must be.
+Each function returns the argument in the type that later code expects. Otherwise the function
+raises a ValueError that names the argument, its value and what the argument must be.
 """
 
 import os
@@ -16,11 +16,11 @@ from typing import get_args
 import control
 import numpy as np
 
-CIRCLE = 1 - 1e-9  # modulus from which on a pole counts as on the unit circle: no loop moved it
+CIRCLE = 1 - 1e-9  # a pole of larger modulus counts as on the unit circle: no loop has moved it
 PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
-TINIEST = 1e-130  # of numbers whose squares, and sums of them, stay within doubles, down to 1e-308
-LATE = 1e-3  # of Ts, of the Nyquist frequency: by how much times and frequencies may be rounded
-ROLES = {  # coordinates that name signals, and what a log calls them all
+TINIEST = 1e-130  # smallest numbers whose squares, and their sums, stay within doubles (1e-308)
+LATE = 1e-3  # relative to Ts or the Nyquist frequency: rounding of times and frequencies
+ROLES = {  # coordinates that name signals, and the name of all these signals in a log
     "output": "outputs",
     "control": "controls",
     "source": "disturbances",
@@ -32,7 +32,7 @@ ROLES = {  # coordinates that name signals, and what a log calls them all
 def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
-    """A finite number above `low` and below `high`, from `least` to `most`; `what` says so."""
+    """Check a finite number above `low`, below `high`, from `least` to `most`; `what` says so."""
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
@@ -40,22 +40,22 @@ def number(
 
 
 def not_negative(name: str, value, what: str = "a number, 0 or more") -> float:
-    """A finite number, zero or above."""
+    """Check a finite number, zero or above."""
     return number(name, value, what, least=0)
 
 
 def positive(name: str, value, what: str = "a positive number") -> float:
-    """A finite number above zero."""
+    """Check a finite number above zero."""
     return number(name, value, what, low=0)
 
 
 def sampling_period(name: str, value) -> float:
-    """A sampling period in seconds."""
+    """Check a sampling period in seconds."""
     return positive(name, value, "a positive sampling period in seconds")
 
 
 def whole(name: str, value, low: int, high: int | None = None) -> int:
-    """A whole number, at least `low` and at most `high`."""
+    """Check a whole number, at least `low` and at most `high`."""
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
@@ -64,14 +64,14 @@ def whole(name: str, value, low: int, high: int | None = None) -> int:
 
 
 def flag(name: str, value) -> bool:
-    """True or False, and not something that merely counts as one of them."""
+    """Check True or False; values that merely count as True or False are refused."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be True or False")
     return bool(value)
 
 
 def choice(name: str, value, options: Sequence[str]) -> str:
-    """One of a few words."""
+    """Check that a value is one of a few words."""
     if not (isinstance(value, str) and value in options):
         words = " or ".join(repr(option) for option in options)
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {words}")
@@ -79,7 +79,7 @@ def choice(name: str, value, options: Sequence[str]) -> str:
 
 
 def instance(name: str, value, kind):
-    """An object of the given class, or of one of a union."""
+    """Check an object of the given class, or of one class of a union."""
     if not isinstance(value, kind):
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
         of_design = f": pass {name}.law() or {name}.filter" if hasattr(value, "certificate") else ""
@@ -88,7 +88,7 @@ def instance(name: str, value, kind):
 
 
 def different(name: str, value) -> list[str]:
-    """A list of names, each once."""
+    """Check a list of names, in which each name stands once."""
     listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
     if not (listed and all(isinstance(n, str) for n in value)) or len({*value}) < len(value):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a list of different names")
@@ -96,7 +96,7 @@ def different(name: str, value) -> list[str]:
 
 
 def by_name(name: str, value, names: Sequence[str]) -> dict:
-    """A dict that says something about some of the signals `names`; None says nothing."""
+    """Check a dict whose keys are some of the signals `names`; None is an empty dict."""
     if not isinstance(value, dict | None):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a dict by the names of signals")
     given = value or {}
@@ -107,7 +107,7 @@ def by_name(name: str, value, names: Sequence[str]) -> dict:
 
 
 def names_of(signals) -> list[str] | None:
-    """Whose a table's columns are, or a DataArray's channels; None if they do not say."""
+    """Return the names of a table's columns, or of a DataArray's channels; None without names."""
     if hasattr(signals, "columns"):
         labels = [*signals.columns]
     else:
@@ -118,7 +118,7 @@ def names_of(signals) -> list[str] | None:
 
 
 def in_columns(name, signal, shape, names):
-    """An array with a column for each name, by names if it has some; one needs no second axis."""
+    """Return an array with a column per name, sorted by its own names; one needs no second axis."""
     own, signal = names_of(signal), array(name, signal, (...,))
     if own is not None:
         signal = signal[..., _order(name, own, names)]
@@ -128,13 +128,13 @@ def in_columns(name, signal, shape, names):
 
 
 def by_channel(name, value, names):
-    """A number for each channel in the order of `names`, if it is labelled; others as they are."""
+    """Sort labelled numbers, one per channel, as in `names`; return other values unchanged."""
     own = names_of(value.to_xarray() if hasattr(value, "to_frame") else value)  # of pandas
     return value if own is None else np.asarray(value)[..., _order(name, own, names)]
 
 
 def _order(name, own, names):
-    """Where among its own names each channel stands."""
+    """Return the position of each channel among an array's own names."""
     if sorted(own) != sorted(names):
         raise ValueError(
             f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
@@ -144,7 +144,7 @@ def _order(name, own, names):
 
 
 def labelled_as(value, signal, names):
-    """An array, a column for each of `names`, with the shape, labels and order of `value`."""
+    """Give an array with one column per name the shape, labels and order of `value`."""
     own = names_of(value)
     if own is None:
         return signal.reshape(np.shape(value))
@@ -164,7 +164,7 @@ def check_times(name: str, times, Ts: float) -> None:
 
 
 def each_trial(name, signal, trials, samples, names, Ts):
-    """A signal of all trials, or of each, with the trial as the first axis."""
+    """Return a signal, common to all trials or one per trial, with the trial as first axis."""
     times = getattr(signal, "index", getattr(signal, "time", None))  # of pandas, of xarray
     if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
         check_times(name, times, Ts)
@@ -177,14 +177,14 @@ def each_trial(name, signal, trials, samples, names, Ts):
 
 
 def path(name: str, value) -> Path:
-    """The path of a file; ~ is the home of a user."""
+    """Check the path of a file; ~ is the home folder of the user."""
     if not isinstance(value, str | PathLike) or not re.fullmatch(PRINTABLE, str(value)):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file, printable")
     return Path(os.path.expanduser(value))
 
 
 def state_space(name: str, value) -> control.StateSpace:
-    """A state-space model, the entries of whose matrices are finite."""
+    """Check a state-space model, whose matrices must be finite."""
     instance(name, value, control.StateSpace)
     for matrix in "ABCD":
         array(f"{name}.{matrix}", getattr(value, matrix), (...,))
@@ -192,7 +192,7 @@ def state_space(name: str, value) -> control.StateSpace:
 
 
 def stable(name: str, poles) -> float:
-    """The largest modulus of the poles of a system in discrete time, which must settle."""
+    """Return the largest modulus of the poles of a discrete-time system; refuse 1 or more."""
     radius = np.abs(poles).max(initial=0)
     if radius > CIRCLE:
         raise ValueError(
@@ -203,10 +203,11 @@ def stable(name: str, poles) -> float:
 
 
 def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
-    """A new array of finite numbers, of a shape such as ``("time", 2)`` or ``(..., "m", "m")``.
+    """Make an array of finite numbers with a shape like ``("time", 2)`` or ``(..., "m", "m")``.
 
-    A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
-    for any number of axes. `dtype` is float or complex. True among numbers counts as 1.
+    A name stands for any size above zero. A name that occurs twice stands for the same size. An
+    Ellipsis in front stands for any number of axes. `dtype` is float or complex. True among numbers
+    counts as 1.
     """
     try:
         plain = np.asanyarray(value)
@@ -236,7 +237,7 @@ def _check_shape(name, sizes, shape):
     """Refuse an array of another shape."""
     wanted = [size for size in shape if size is not Ellipsis]
     has = sizes[len(sizes) - len(wanted) :] if wanted != [*shape] else sizes
-    named = dict(zip(wanted, has, strict=False))  # of sizes with one name, the last
+    named = dict(zip(wanted, has, strict=False))  # if sizes share a name: the last one
     expected = [max(1, named.get(size, 1)) if isinstance(size, str) else size for size in wanted]
     if [*has] == expected:
         return
@@ -256,12 +257,12 @@ def representable(name: str, values, remedy: str) -> None:
 
 
 def row(name: str, value, dtype: type = float) -> np.ndarray:
-    """One or more numbers in a row; a number by itself is a row of one."""
+    """Check one or more numbers in a row; a single number is a row of one."""
     return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)
 
 
 def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
-    """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
+    """Check two or more increasing frequencies, rad/s, from zero to the Nyquist frequency."""
     omega = up_to_nyquist(name, array(name, value, ("frequency",)), Ts)
     if len(omega) < 2 or np.any(np.diff(omega) <= 0):
         raise ValueError(
@@ -272,7 +273,7 @@ def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
 
 
 def up_to_nyquist(name: str, omega: np.ndarray, Ts: float) -> np.ndarray:
-    """Angular frequencies, rad/s, none of them below zero or above the Nyquist frequency."""
+    """Check angular frequencies, rad/s, from zero to the Nyquist frequency."""
     nyquist = np.pi / Ts
     if omega.min() < 0 or omega.max() > nyquist * (1 + LATE):
         raise ValueError(

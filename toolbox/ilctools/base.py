@@ -1,33 +1,34 @@
-"""The base B of a learning filter L = B K, where K is short: the inverse of P, as far as it goes.
+"""The base B of a learning filter L = B K, where K is short: a regularised inverse of P.
 
     B = (P* P + b^2)^-1 P*                                                                     (B)
 
-is the operator of norm-optimal learning, see :class:`.norm_optimal.NormOptimal`. It undoes poles
-and zeros of P next to the unit circle, for which a finite filter would have to be as long as they
-ring. In each direction in which P has the singular value sigma,
+B is the operator of norm-optimal learning, see :class:`.norm_optimal.NormOptimal`. B cancels poles
+and zeros of P near the unit circle. A finite filter would have to be as long as these poles and
+zeros ring. In each direction in which P has the singular value sigma,
 
-    sigma(B) = sigma / (sigma^2 + b^2) <= 1 / (2 b),    1 - P B = b^2 / (sigma^2 + b^2) < 1,
+    sigma(B) = sigma / (sigma^2 + b^2) <= 1 / (2 b),    1 - P B = b^2 / (sigma^2 + b^2) < 1.
 
-so that b = 1 / (2 L_max) keeps the bound on L = B for every plant, and Q (I - P B) is below one.
-P B is nearly the identity where the gain of P is above b, so that a short K, designed for P B in
-the place of P, does the rest; M = Q (I - P B K) is affine in K as it is in L.
+Therefore b = 1 / (2 L_max) keeps the bound on L = B for every plant, and Q (I - P B) is below one.
+Where the gain of P is above b, P B is nearly the identity. A short K, designed for P B in place of
+P, does the rest. M = Q (I - P B K) is affine in K, as it is affine in L.
 
-Of several plants P_k it is the law that minimises the mean of ||e - P_k change||^2:
+For several plants P_k, B is the law that minimises the mean of ||e - P_k change||^2:
 
     B = (mean P_k* P_k + b^2)^-1 mean P_k* = (P* P + b^2)^-1 P* E,
 
-with P for the P_k one below the other, divided by sqrt(p), and E for p identities, divided so, too.
-The bound on B holds for them as well, since the gain of E is one. P and E may be multiplied from
-the left by any matrix with orthonormal rows whose row space holds the columns of [C, D] of P: so P
-needs no more outputs than it has states and inputs, and what the plants have in common is kept
-once, see :mod:`.pooled`.
+P stands for the P_k one below the other, divided by sqrt(p). E stands for p identities one below
+the other, divided by sqrt(p), too. The bound on B holds for several plants as well, because the
+gain of E is one. P and E may be multiplied from the left by any matrix with orthonormal rows whose
+row space holds the columns of [C, D] of P. Therefore P needs no more outputs than it has states and
+inputs, and what the plants have in common is kept once, see :mod:`.pooled`.
 
 With the gain K of the linear-quadratic state feedback, and a constant R,
 
     P* P + b^2 = F* F,    F = R^(1/2) (I + K (z I - A)^-1 B),    B = F^-1 (P F^-1)* E,
 
-and F^-1 and P F^-1 are what the reference of that loop does to u and to y. So B has the poles of
-the closed loop, inside the circle and mirrored at it, and none else.
+where F^-1 and P F^-1 are the responses of u and of y to the reference of this closed loop. The
+poles of B are therefore the poles of the closed loop, inside the circle and mirrored at the circle,
+and no others.
 """
 
 from dataclasses import dataclass, replace
@@ -45,26 +46,26 @@ from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
-NEGLIGIBLE_IN_M = 1e-4  # change of sigma_max(M) for which B is truncated
+NEGLIGIBLE_IN_M = 1e-4  # change of sigma_max(M) up to which B is truncated
 POINTS = 2**15  # of the transform that gives the coefficients of B
-FARTHEST_REACH = POINTS // 4  # samples that B reaches at most, each way
-EXACT_FACTORS = 1e-7  # relative error of the factors that is rounding
+FARTHEST_REACH = POINTS // 4  # largest number of samples that B reaches, each way
+EXACT_FACTORS = 1e-7  # relative error of the factors that is still rounding
 
 
 @dataclass(frozen=True, eq=False)
 class RegularisedInverse:
     """B = (P* P + b^2)^-1 P* E of models, with the ends of a trial.
 
-    On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T E, of inputs divided by `scale` and outputs by
-    `scale_y`: P is in these units, B is not. Without E it is of one model.
+    On a trial of N samples, B is (P_N^T P_N + b^2 I)^-1 P_N^T E. Here inputs are divided by `scale`
+    and outputs by `scale_y`. P is in these units, but B is not. Without E, there is one model.
     """
 
     P: control.StateSpace
     b: float
     scale: np.ndarray  # (m,)
-    # (outputs of P, p), see :func:`.pooled.pooled`; the identity of one model
+    # (outputs of P, p), see :func:`.pooled.pooled`; the identity for one model
     E: np.ndarray | None = None
-    scale_y: np.ndarray | None = None  # (p,); that of the inputs where it is left out
+    scale_y: np.ndarray | None = None  # (p,); default: the scale of the inputs
     weight_of_change = WEIGHT_OF_CHANGE
 
     def __post_init__(self):
@@ -95,12 +96,13 @@ class RegularisedInverse:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Those inside the unit circle, of the loop that K closes; of P / b, whose b is one."""
-        P = self.P * (1 / self.b)  # or the units of y would decide which digits are lost
+        """Poles of B inside the unit circle: the poles of the loop that K closes."""
+        # with P / b, whose b is one: otherwise the units of y would decide which digits are lost
+        P = self.P * (1 / self.b)
         (A, B, C), D = balanced(P), P.D
         R, S = D.T @ D + np.eye(self.rows), C.T @ D
         K, _, poles = control.dlqr(A, B, C.T @ C, R, S)
-        factor = control.ss(A, B, K, np.eye(self.rows), self.Ts)  # F, but for a constant
+        factor = control.ss(A, B, K, np.eye(self.rows), self.Ts)  # F, except for a constant
         omega = np.append(np.abs(np.angle(poles)), [0, np.pi]) / self.Ts
         F, P = (frequency_response(model, omega) for model in (factor, P))
         of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + 1, axis=1)
@@ -110,16 +112,16 @@ class RegularisedInverse:
         return poles
 
     def __matmul__(self, K: LearningFilter) -> Composition:
-        """L = B K."""
+        """Compose L = B K."""
         return Composition(self, K)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """B far from the ends of a trial, at `omega` (rad/s), (n, m, p), complex."""
+        """Compute B far from the ends of a trial, at `omega` (rad/s), (n, m, p), complex."""
         P = frequency_response(self.P, omega)
         return regularised_inverse(P, self.b) @ self.E * (self.scale[:, None] / self.scale_y)  # (B)
 
     def apply(self, signal) -> np.ndarray:
-        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
+        """Filter errors of shape (..., time, p) on a trial; the result has shape (..., time, m)."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
         return self.scale / self.b * of_trial.apply(signal / self.scale_y @ self.E.T)
 
@@ -131,20 +133,20 @@ class RegularisedInverse:
 
 @lru_cache(maxsize=4)
 def _norm_optimal(base, samples):
-    """Of P / b, whose weight is one, on trials of so many samples: factored once."""
+    """Norm-optimal law of P / b, whose weight is one, on trials of N samples, factored once."""
     return NormOptimal(base.P * (1 / base.b), 1.0, samples)
 
 
 def quadratic_law(P, b) -> np.ndarray:
-    """B, (n, m, p), of plants by their responses, (plants, n, p, m)."""
+    """Compute B, (n, m, p), from the responses of plants, (plants, n, p, m)."""
     E = isometry(len(P), P.shape[-2])
     return regularised_inverse(np.concatenate(P, axis=1) / np.sqrt(len(P)), b) @ E  # (B)
 
 
 def in_units(L, of_v, of_y):
-    """An operator on outputs over `of_y`, which makes inputs over `of_v`, in their own units."""
+    """Convert an operator from outputs over `of_y` to inputs over `of_v` to their own units."""
     if isinstance(L, Composition):
-        # the signals between B and K have the units of that side on which K stands, if as many
+        # The signals between B and K have the units of the side of K, if their number is the same.
         (last, first), side = L.factors, of_y if L.K_first else of_v
         between = side if len(side) == first.rows else np.ones(first.rows)
         return _composed(L, in_units(last, of_v, between), in_units(first, between, of_y))
@@ -154,7 +156,7 @@ def in_units(L, of_v, of_y):
 
 
 def extended(L, U, V):
-    """V L U' of an operator for U' P V, see :mod:`.response.directions`."""
+    """Compute V L U' from an operator L for U' P V, see :mod:`.response.directions`."""
     if isinstance(L, Composition):
         last, first = L.factors
         one = np.eye(first.rows)
@@ -166,13 +168,13 @@ def extended(L, U, V):
 
 
 def _composed(L, last, first):
-    """A composition with other factors, the one that acts last first."""
+    """Make a composition with other factors; `last` is the factor that acts last."""
     B, K = (last, first) if L.K_first else (first, last)
     return replace(L, B=B, K=K)
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
-    """B of models, diagonal if asked for; None if it has too many states or rounding hides it."""
+    """Make B of models; None if B has too many states, or if rounding decides its poles."""
     try:
         for change in CHANGES:
             P, E = _of_all(models, b, structure, change)
@@ -181,25 +183,25 @@ def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | No
         else:
             return None
         base = RegularisedInverse(P, b, np.ones(P.ninputs), E, np.ones(E.shape[1]))
-        return base if len(base.poles) else None  # which rounding may decide
+        return base if len(base.poles) else None  # rounding may decide the poles
     except (np.linalg.LinAlgError, ValueError):
         return None
 
 
 def _of_all(models, b, structure, change) -> Pooled:
-    """P and E of all models; of a diagonal B, each channel by itself."""
+    """Make P and E of all models; for a diagonal B, each channel by itself."""
     if structure != "diagonal":
         return pooled(models, b, change)
     channels = []
     for i in range(models[0].ninputs):
-        # a channel without what other inputs do to its output
+        # a channel without the effect of other inputs on its output
         alone = [minimal_realisation(P[i, i], [P.input_labels[i]]) for P in models]
         channels.append(pooled(alone, b, change))
     return Pooled(control.append(*(P for P, _ in channels)), block_diag(*(E for _, E in channels)))
 
 
 def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFilter:
-    """B of the first plants, as many as `count`, as a finite filter."""
+    """Make B of the first `count` plants as a finite filter."""
     omega = np.linspace(0, np.pi / response.Ts, POINTS // 2 + 1)
     P = np.array([_faded(response, k, lowpass.cutoff, omega) for k in range(count)])
     if structure == "diagonal":
@@ -207,20 +209,21 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
     size = np.max([*map(largest_singular_values, P)], axis=0)
     counts = np.abs(lowpass.frequency_response(omega)) * size
     farthest = reach or FARTHEST_REACH
-    if response.models[0] is None:  # lines that are so far apart show no longer response
+    if response.models[0] is None:  # the distance of the lines limits the length of the response
         first = response.omega[response.omega > 0][0]
         farthest = min(farthest, 2 * np.pi / (first * response.Ts))
     coefficients, N = _shortened(quadratic_law(P, b), counts, int(min(farthest, FARTHEST_REACH)))
-    # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
+    # Truncation must not take B above 1 / (2 b); between the points this holds by M. Riesz.
     peak = largest_singular_values(rfft(coefficients, 4 * POINTS, axis=0)).max()
     coefficients *= min(1, np.cos(np.pi * N / (4 * POINTS)) / (2 * b * peak))
     return LearningFilter(np.moveaxis(coefficients, 0, -1), response.Ts, first=-N)
 
 
 def _shortened(B, counts, farthest):
-    """Coefficients of q^-N ... q^N of B, (2 N + 1, m, p), and N, the least power of two.
+    """Truncate B to its coefficients of q^-N ... q^N, (2 N + 1, m, p); N is a power of two.
 
-    What is left out is NEGLIGIBLE_IN_M, at each frequency times what `counts` there.
+    N is the least power of two for which the lost part is below NEGLIGIBLE_IN_M. At each frequency,
+    the lost part is multiplied by `counts`.
     """
     N, middle, coefficients = 1, POINTS // 2, coefficients_of(B)
     while True:
@@ -235,15 +238,16 @@ def _shortened(B, counts, farthest):
 
 
 def coefficients_of(response) -> np.ndarray:
-    """Coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
+    """Compute the coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
 
-    By its response at n / 2 + 1 frequencies, evenly from zero to the Nyquist frequency.
+    `response` is the filter's response at n / 2 + 1 frequencies, evenly spaced from zero to the
+    Nyquist frequency.
     """
     return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
 
 
 def _faded(response, number, cutoff, omega):
-    """A plant at any frequency, of samples as known below; faded out beyond Q's cut-off."""
+    """Compute a plant at any frequency; samples are faded out above the cut-off of Q."""
     if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
     last = response.omega[-1]

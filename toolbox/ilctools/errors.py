@@ -1,12 +1,12 @@
 """The toolbox's own exceptions, to be caught by name; a wrong argument is a plain ValueError.
 
-InfeasibleError and LogError are ValueErrors, SolverError and RigError RuntimeErrors, and
+InfeasibleError and LogError are ValueErrors. SolverError and RigError are RuntimeErrors.
 StoppedError is a RigError.
 """
 
 from contextlib import contextmanager
 
-# what a note may lead to
+# errors that reading a note may lead to
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
 LONGEST_MESSAGE = 1000  # letters of a message
 
@@ -17,13 +17,15 @@ class InfeasibleError(ValueError):
     Attributes
     ----------
     smallest_M_max : float
-        What is feasible with the other arguments; from one on, nothing that converges.
+        The smallest feasible M_max with the other arguments. If this number is one or more, no
+        feasible filter converges.
     plant, omega : int, float
-        Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
+        The plant and the frequency at which the bound on M is the main obstacle. Plant number 0 is
+        the nominal plant.
 
     See Also
     --------
-    synthesise : what raises it
+    synthesise : raises this error
 
     Examples
     --------
@@ -44,34 +46,34 @@ class InfeasibleError(ValueError):
 
 
 class SolverError(RuntimeError):
-    """The solver returned no filter, or one whose certificate fails."""
+    """The solver returned no filter, or a filter whose certificate fails."""
 
 
 class RigError(RuntimeError):
-    """A rig that gave what is no reading; nothing that follows from it was applied.
+    """A rig gave an invalid reading; nothing that follows from this reading was applied.
 
-    What was learned before it is in `trials`.
+    The trials before the error are in `trials`.
     """
 
-    trials = None  # as from record; None if no trial has ended
+    trials = None  # as `record` returns them; None if no trial has ended
 
 
 class StoppedError(RigError):
-    """A trial that went beyond a stop limit."""
+    """A trial went beyond a stop limit."""
 
 
 class LogError(ValueError):
-    """A log or a table that cannot be used; the message says where, and what to do."""
+    """A log or a table cannot be used; the message says where, and what to do."""
 
 
 def shortened(message: str) -> str:
-    """A message without its middle, if that is long: what it quotes may be a whole file."""
+    """Leave out the middle of a long message, which may quote a whole file."""
     return message if len(message) <= LONGEST_MESSAGE else f"{message[:600]} ... {message[-300:]}"
 
 
 @contextmanager
 def reading(key: str):
-    """Make a LogError of whatever a note leads to that is not of its kind."""
+    """Turn errors from reading a note that is not valid into a LogError."""
     try:
         yield
     except MISUNDERSTOOD as error:

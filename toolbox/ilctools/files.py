@@ -1,6 +1,7 @@
-"""How files are read and written: as a whole or not at all, by one at a time.
+"""Read and write files, as a whole or not at all, and by one process at a time.
 
-Only the standard library, because `environment.py` needs this before anything is installed.
+Only the standard library is used here, because `environment.py` needs this module before anything
+is installed.
 """
 
 import os
@@ -19,7 +20,7 @@ except ImportError:  # on Windows
 
 
 def folder(path: Path) -> Path:
-    """Make a folder, unless it is there."""
+    """Make a folder, unless the folder exists."""
     path.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -28,8 +29,9 @@ def folder(path: Path) -> Path:
 def alone(lock: Path, refusal: str) -> Iterator[None]:
     """Refuse other processes until this one has finished or is dead.
 
-    The file stays, the lock on it ends with the process. Where a link or a pipe waits at its name,
-    this is an error: who can write to the folder would decide what is created or waited for.
+    The lock file stays, but its lock ends with the process. A link or a pipe at the name of the
+    lock file is an error. Otherwise anybody who can write to the folder could decide what is
+    created or waited for.
     """
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
         raise FileExistsError(f"{lock} is no regular file, or a link: remove it")
@@ -45,7 +47,7 @@ def alone(lock: Path, refusal: str) -> Iterator[None]:
 
 
 def regular(path: Path) -> Path:
-    """The path, or where its link leads; an error for a pipe, a device or a folder: no end."""
+    """Return the path, or the target of a link; refuse a pipe, a device or a folder."""
     if path.exists() and not path.is_file():
         raise FileExistsError(f"{path} is no regular file: choose another name")
     return Path(os.path.realpath(path)) if path.is_symlink() else path
@@ -53,11 +55,12 @@ def regular(path: Path) -> Path:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file to write beside `path`, in a folder that is there; it replaces `path` if all is well.
+    """Provide a temporary file next to `path`, which replaces `path` if no error occurs.
 
-    Links are followed, permissions stay. A device or a pipe is refused: it is not written to by
-    being replaced. The name is one that no other writer has, and no link can wait at; where
-    it is killed, a hidden file `.*.part` is left, which may be removed.
+    The folder must exist. Links are followed, and permissions stay. A device or a pipe is refused,
+    because a replacement is not a write. No other writer has the name of the temporary file, and no
+    link can wait at this name. If the process is killed, a hidden file `.*.part` is left, which may
+    be removed.
     """
     path = regular(path)
     temporary = path.with_name(f".{uuid4().hex}.part")
@@ -67,7 +70,7 @@ def replacing(path: Path) -> Iterator[Path]:
             shutil.copymode(path, temporary)
         yield temporary
         os.replace(temporary, path)
-    except OSError as error:  # of the name that was asked for
+    except OSError as error:  # name the requested file in the error
         error.filename = str(path) if error.filename == str(temporary) else error.filename
         raise
     finally:
@@ -80,13 +83,13 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
-    """Replace a file, as a whole or not at all, by pieces that need not fit into memory at once."""
+    """Replace a file as a whole or not at all; the pieces need not fit into memory at once."""
     with replacing(path) as temporary:
         _write(temporary, pieces)
 
 
 def append(path: Path, pieces: Iterable[bytes]) -> None:
-    """Add to a file, to the disk; after an error it is as it was."""
+    """Append to a file on the disk; after an error the file is as before."""
     size = path.stat().st_size
     try:
         _write(path, pieces, "ab")
@@ -96,7 +99,7 @@ def append(path: Path, pieces: Iterable[bytes]) -> None:
 
 
 def keep_others(path: Path, head: str) -> None:
-    """Refuse to write over a file, such as raw data, that is not empty and begins otherwise."""
+    """Refuse to overwrite a file of another kind, which is not empty and begins differently."""
     if regular(path).exists():
         with open(path, "rb") as file:
             start = file.read(len(head.encode()))
@@ -110,4 +113,4 @@ def _write(path, pieces, mode="wb"):
     with open(path, mode) as file:
         file.writelines(pieces)
         file.flush()
-        os.fsync(file.fileno())  # a full disk may show here only
+        os.fsync(file.fileno())  # a full disk may raise only here

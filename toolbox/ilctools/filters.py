@@ -1,7 +1,8 @@
 """The two filters of the ILC law v_{k+1} = Q (v_k + L e_k), equation (23).
 
-Each filter knows its frequency response and how it acts on a finite trial. Both look ahead in
-time, which is no contradiction: they act between two trials, when the whole last trial is known.
+Each filter has a frequency response and a method that applies it to a finite trial. Both filters
+look ahead in time. This is possible because they act between two trials, when the whole last trial
+is known.
 
 Beyond the two ends of a trial nothing has been recorded, so something must be assumed there.
 ``ends="zero"`` takes every signal as zero outside the trial; the filters are then exactly the
@@ -26,30 +27,32 @@ ENDS = {  # whether the first sample stands still before the trial, and the last
     "hold": (True, True),
     "hold-last": (False, True),
 }
-AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")  # of the plant: L makes inputs of errors
-LONG = 100  # coefficients: beyond, doubles and the fast convolution do, see `time_shifts`
-FARTHEST_TAP = 10**6  # samples that a filter may look ahead or back
-HIGHEST_ORDER = 20  # of Q: what is higher is a cut-off in the place of the order
-LONGEST_RESPONSE = 10**7  # samples that the response of Q may last each way
-ANYWHERE = 1.0  # rad a sample: where a response is asked for its shape alone
-WEIGHT_OF_CHANGE = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
+# Inputs and outputs of the plant: L makes inputs from errors.
+AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")
+LONG = 100  # coefficients: for more, doubles and the fast convolution suffice, see `time_shifts`
+FARTHEST_TAP = 10**6  # largest number of samples that a filter may look ahead or back
+HIGHEST_ORDER = 20  # of Q: a higher number is a cut-off in the place of the order
+LONGEST_RESPONSE = 10**7  # longest response of Q each way, samples
+ANYWHERE = 1.0  # rad per sample: a frequency at which only the shape of a response is checked
+WEIGHT_OF_CHANGE = 1e-2  # weight of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
     """A low-pass filter Q without lag: a Butterworth filter, forward and backward in time.
 
-    |H|^2 of the Butterworth filter H, (43) of the paper; as scipy's and MATLAB's ``filtfilt``:
-    F. Gustafsson, Determining the initial states in forward-backward filtering, IEEE Transactions
-    on Signal Processing 44 (1996) 988-992. Here `ends` says what is beyond the trial.
+    Q is |H|^2 of the Butterworth filter H, (43) of the paper. Scipy's and MATLAB's ``filtfilt``
+    filter in the same way: F. Gustafsson, Determining the initial states in forward-backward
+    filtering, IEEE Transactions on Signal Processing 44 (1996) 988-992. Here `ends` says what is
+    beyond the trial.
 
     Attributes
     ----------
     order : int
         Order of the Butterworth filter, 20 at most; the zero-phase filter has twice that order.
     cutoff : float
-        Cut-off frequency, rad/s. There the Butterworth filter is down by 3 dB, the Q-filter,
-        which squares its magnitude, by 6 dB.
+        Cut-off frequency, rad/s. There the gain of the Butterworth filter is -3 dB. The Q-filter,
+        which squares this gain, has -6 dB.
     Ts : float
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
@@ -57,8 +60,8 @@ class ZeroPhaseButterworth:
 
     See Also
     --------
-    synthesise : a learning filter for it
-    Law : what uses both
+    synthesise : designs a learning filter for Q
+    Law : uses both filters
 
     Examples
     --------
@@ -93,7 +96,7 @@ class ZeroPhaseButterworth:
             )
 
     def _realised(self):
-        """Whether the coefficients, which are rounded, give the gains 1 and 1/2 asked for, soon."""
+        """Whether the rounded coefficients give the gains 1 and 1/2, and the response decays."""
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
             try:
@@ -110,20 +113,20 @@ class ZeroPhaseButterworth:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Of the forward half."""
+        """Poles of the forward half of the filter."""
         return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="zpk")[1]
 
     @cached_property
     def decay(self):
-        """Samples after which the impulse response has decayed to rounding level."""
+        """Number of samples after which the impulse response has decayed to rounding level."""
         return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
+        """Compute the squared gain of the Butterworth filter at `omega` (rad/s), real, (n,)."""
         return np.abs(self(np.exp(1j * self.Ts * arguments.row("omega", omega))))  # (43)
 
     def __call__(self, z) -> np.ndarray:
-        """Q(z) = H(z) H(1/z), with H the Butterworth filter, at any z but zero."""
+        """Compute Q(z) = H(z) H(1/z), with the Butterworth filter H, at any z except zero."""
         z = arguments.array("z", z, (...,), complex)
         H = [np.polyval(s[:3], x) / np.polyval(s[3:], x) for s in self.sections for x in (z, 1 / z)]
         return np.prod(H, axis=0)
@@ -144,14 +147,14 @@ class ZeroPhaseButterworth:
         return _folded(wide, reach, signal.shape[-2], self.ends)
 
     def _both_ways(self, line):
-        """Forward and backward in time over a signal (..., time, channel), at rest at its ends."""
+        """Filter a signal (..., time, channel) forward and backward, at rest at its ends."""
         for _ in range(2):
             line = sosfilt(self.sections, line, axis=-2)[..., ::-1, :]
         return line
 
 
 def _continued(signal, before, after, ends):
-    """A signal of shape (..., time, channel) with so many samples more at the ends of the trial."""
+    """Extend a signal (..., time, channel) by some samples before and after the trial."""
     first, last = ENDS[ends]  # a fifth of the time of numpy.pad, which counts in long iterations
     left = np.repeat(signal[..., :1, :] * first, before, axis=-2)
     right = np.repeat(signal[..., -1:, :] * last, after, axis=-2)
@@ -159,7 +162,7 @@ def _continued(signal, before, after, ends):
 
 
 def _folded(line, before, samples, ends):
-    """The transpose of `_continued`: what lies beyond an end that is held adds to its sample."""
+    """Apply the transpose of `_continued`: what lies beyond a held end adds to its sample."""
     inside, (first, last) = line[..., before : before + samples, :].copy(), ENDS[ends]
     inside[..., 0, :] += first * line[..., :before, :].sum(axis=-2)
     inside[..., -1, :] += last * line[..., before + samples :, :].sum(axis=-2)
@@ -174,9 +177,10 @@ zero_phase_butterworth = ZeroPhaseButterworth
 class LearningOperator(Protocol):
     """The contract of L in the law (23): a linear map from the errors of a trial to changes of v.
 
-    Whatever keeps it can stand for L in :class:`ilctools.Law` and :func:`ilctools.convergence`.
-    :class:`LearningFilter` is one; another design is :class:`ilctools.NormOptimal`. An operator can
-    be pickled, so that a law can be sent to other processes.
+    Any object that keeps this contract can be used as L in :class:`ilctools.Law` and
+    :func:`ilctools.convergence`. Examples are :class:`LearningFilter` and
+    :class:`ilctools.NormOptimal`. An operator can be pickled, so that a law can be sent to other
+    processes.
     """
 
     @property
@@ -185,33 +189,33 @@ class LearningOperator(Protocol):
 
     @property
     def rows(self) -> int:
-        """Number m of signals that it makes, one for each learned input of the plant."""
+        """Number m of output signals, one for each learned input of the plant."""
 
     @property
     def columns(self) -> int:
-        """Number p of errors that it takes, one for each output of the plant."""
+        """Number p of errors at the input of L, one for each output of the plant."""
 
     @property
     def weight_of_change(self) -> float:
-        """The norm in which it learns, ||P v||^2 + weight ||v||^2, in units of y^2 per v^2.
+        """Weight in the norm ||P v||^2 + weight ||v||^2, in units of y^2 per v^2.
 
-        Where commands have limits, the law projects v onto them in this norm. An operator may have
-        `weight_of_errors`, too: weights of the squares of P v, by time and output, (time, p).
+        If commands have limits, the law projects v onto the limits in this norm. An operator may
+        also have `weight_of_errors`: weights of the squares of P v, by time and output, (time, p).
         """
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Far from the ends of a trial, at `omega` (rad/s, shape (n,)): (n, m, p), complex."""
+        """Compute L far from the ends of a trial, at `omega` (rad/s, (n,)): (n, m, p), complex."""
 
     def apply(self, signal) -> np.ndarray:
-        """What it makes, shape (..., time, m), of errors of shape (..., time, p).
+        """Filter errors (..., time, p), in units of y, to changes (..., time, m), in units of v.
 
-        In units of v and y. A ValueError if it does not act on trials of so many samples.
+        A ValueError is raised if the operator does not act on trials of this length.
         """
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """The transpose of :meth:`apply`, shape (..., time, p), of signals (..., time, m).
+        """Apply the transpose of :meth:`apply` to signals (..., time, m): (..., time, p).
 
-        That is, sum(y * apply(x)) = sum(apply_transposed(y) * x) on a trial.
+        On a trial, sum(y * apply(x)) = sum(apply_transposed(y) * x).
         """
 
 
@@ -219,8 +223,9 @@ class LearningOperator(Protocol):
 class LearningFilter:
     """A learning filter L: a finite impulse response that may look ahead, as between two trials.
 
-    L(q) e(p) = sum_k C_k e(p + k), (42) and (44) of the paper; D. A. Bristow, M. Tharayil and A. G.
-    Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
+    L(q) e(p) = sum_k C_k e(p + k), (42) and (44) of the paper. See also D. A. Bristow, M. Tharayil
+    and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26
+    (2006) 96-114.
 
     Attributes
     ----------
@@ -231,12 +236,13 @@ class LearningFilter:
     ends : {"zero", "hold", "hold-last"}
         What the error is taken to be beyond the ends of the trial.
     first : int
-        The lowest k: 1 in (44), which looks ahead alone; below zero the filter looks back, too.
+        The lowest k. In (44) the lowest k is 1, and the filter only looks ahead. If `first` is
+        below zero, the filter looks back, too.
 
     See Also
     --------
-    synthesise : one that is optimal
-    Law : what uses it
+    synthesise : designs an optimal learning filter
+    Law : uses the filter
 
     Examples
     --------
@@ -265,38 +271,38 @@ class LearningFilter:
 
     @property
     def rows(self) -> int:
-        """Number m of signals that it makes."""
+        """Number m of output signals."""
         return len(self.coefficients)
 
     @property
     def columns(self) -> int:
-        """Number p of errors that it takes."""
+        """Number p of errors at the input."""
         return self.coefficients.shape[1]
 
     @property
     def order(self) -> int:
-        """Number of coefficients: the samples that (44) looks ahead."""
+        """Number of coefficients, which is the number of samples that (44) looks ahead."""
         return self.coefficients.shape[2]
 
     @property
     def last(self) -> int:
-        """The highest k: the samples that the filter looks ahead."""
+        """The highest k, which is the number of samples that the filter looks ahead."""
         return self.first + self.order - 1
 
     @property
     def poles(self) -> np.ndarray:
-        """One at zero for each sample that it looks away."""
+        """Poles at zero, one for each sample that the filter looks ahead or back."""
         return np.zeros(max(abs(self.first), abs(self.last)))
 
     def __matmul__(self, K: "LearningOperator") -> "Filter":
-        """The filter B K, with the ends of K; where the other one is a base B, K B."""
+        """Compose the filter B K, with the ends of K; if the other factor is a base B, K B."""
         if not isinstance(K, LearningFilter):
             return Composition(K, self, K_first=False)
         products = oaconvolve(self.coefficients[:, :, None], K.coefficients[None], axes=-1)
         return LearningFilter(products.sum(axis=1), K.Ts, K.ends, self.first + K.first)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, p), complex."""
+        """Compute L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, p), complex."""
         angles = self.Ts * arguments.row("omega", omega)
         shifts = time_shifts(angles, min(self.order, LONG))
         if self.order > LONG:
@@ -309,7 +315,7 @@ class LearningFilter:
         return response
 
     def apply(self, signal) -> np.ndarray:
-        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
+        """Filter errors of shape (..., time, p) on a trial: shape (..., time, m)."""
         signal = arguments.array("signal", signal, (..., "time", self.columns))
         before = max(0, -self.first)
         line = _continued(signal, before, max(0, self.last), self.ends)
@@ -337,14 +343,15 @@ class LearningFilter:
 
 @dataclass(frozen=True)
 class Composition:
-    """L = B K: B acts on what the filter K has made of the error within the trial; or L = K B.
+    """L = B K, where K filters the error within the trial and B acts on the result; or L = K B.
 
-    Made by ``B @ K`` or ``K @ B``, unless B is a LearningFilter itself: then B K is one, too.
+    ``B @ K`` or ``K @ B`` make a composition. If B is a LearningFilter itself, B K is a
+    LearningFilter, too.
     """
 
     B: LearningOperator
     K: LearningFilter
-    K_first: bool = True  # whether K acts on the error, and B on what K makes
+    K_first: bool = True  # whether K acts on the error, and B on the result of K
     weight_of_change = WEIGHT_OF_CHANGE
 
     def __post_init__(self):
@@ -359,7 +366,7 @@ class Composition:
 
     @property
     def factors(self) -> tuple[LearningOperator, LearningOperator]:
-        """The two of them, the one that acts last first."""
+        """Both factors; the factor that acts last comes first."""
         return (self.B, self.K) if self.K_first else (self.K, self.B)
 
     @property
@@ -369,31 +376,31 @@ class Composition:
 
     @property
     def rows(self) -> int:
-        """Number m of signals that it makes."""
+        """Number m of output signals."""
         return self.factors[0].rows
 
     @property
     def columns(self) -> int:
-        """Number p of errors that it takes."""
+        """Number p of errors at the input."""
         return self.factors[1].columns
 
     @property
     def order(self) -> int:
-        """Samples of K."""
+        """Number of coefficients of K."""
         return self.K.order
 
     @property
     def poles(self) -> np.ndarray:
-        """Of B its own, and those of K."""
+        """Poles of B and of K."""
         return np.append(self.B.poles, self.K.poles)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """L at `omega` (rad/s), shape (n, m, p), complex."""
+        """Compute L at `omega` (rad/s), shape (n, m, p), complex."""
         last, first = self.factors
         return last.frequency_response(omega) @ first.frequency_response(omega)
 
     def apply(self, signal) -> np.ndarray:
-        """What it makes, shape (..., time, m), of errors of shape (..., time, p)."""
+        """Filter errors of shape (..., time, p) on a trial: shape (..., time, m)."""
         last, first = self.factors
         return last.apply(first.apply(signal))
 
@@ -407,7 +414,7 @@ Filter = LearningFilter | Composition  # has a transpose, and can be noted as JS
 
 
 def time_shifts(angles, order) -> np.ndarray:
-    """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
+    """Compute z, z^2, ..., z^order for z = exp(j angles), in long doubles, (n, order)."""
     # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
     # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
     z = np.exp(1j * np.asarray(angles, dtype=np.longdouble))
@@ -415,7 +422,7 @@ def time_shifts(angles, order) -> np.ndarray:
 
 
 def check_learning(L: LearningOperator, name: str = "L", rows=None, columns=None) -> None:
-    """Check that L has the rows and columns that it says, and so many as the plant asks for."""
+    """Check that L has the rows and columns that it states, and as many as the plant needs."""
     arguments.instance(name, L, LearningOperator)
     asked = (rows or L.rows, columns or L.columns)
     if (L.rows, L.columns) != asked:

@@ -1,4 +1,4 @@
-"""What speaks against a design: a code with its numbers, put into words here and nowhere else."""
+"""Findings against a design: a code with numbers; all their words are in this module."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -60,7 +60,7 @@ class Finding:
     limit: float
     place: str = ""  # which plant and frequency
     remedy: str = ""  # with its numbers, where these are known
-    claim: Any = None  # the bound that it is about, with its name and what is bounded
+    claim: Any = None  # the bound that the finding is about, with its name and what is bounded
 
     def __str__(self):
         return FINDINGS[self.code].format(**vars(self))

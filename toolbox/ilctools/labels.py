@@ -1,18 +1,18 @@
-"""Labelled arrays, of xarray and of pandas: axes are found by name, contradictions refused.
+"""Labelled arrays of xarray and pandas: find axes by name, and refuse contradictions.
 
-An argument that has axes, such as P with (frequency, output, input), takes a labelled array, too.
+An argument that has axes, such as P with (frequency, output, input), may be a labelled array, too.
 
 - **Dimensions** decide which axis is which: a DataArray with the dimensions (frequency, input,
   output) is transposed. Other names are refused. If no dimension has a name, the axes stand in the
   order of the argument.
 - **Frequencies** must be the values of `omega`, in rad/s and in the same order. If `omega` is left
   out, the frequencies of P, of Q or of the radius take its place.
-- **Names of channels** are compared as the names of a model are: a plant that has the names of
+- **Names of channels** are compared like the names of a model: a plant that has the names of
   another plant, or of the design, in another order is refused. If the inputs have the names of the
   outputs, they are put in the order of the outputs. A scale is put in the order of the outputs of
   P by its names, see :func:`.arguments.by_channel`.
 
-An index of whole numbers without a name only counts.
+An index of whole numbers without a name only numbers the entries.
 """
 
 import re
@@ -34,7 +34,7 @@ def is_labelled(value) -> bool:
 
 
 def with_axes(name: str, value, axes):
-    """A labelled array with its axes in order, as a DataArray; anything else as it is."""
+    """Return a labelled array with its axes in order; return anything else unchanged."""
     if not is_labelled(value):
         return value
     array = xr.DataArray(value)
@@ -51,9 +51,10 @@ def with_axes(name: str, value, axes):
 
 
 def on(name: str, value, omega, axes=(FREQUENCY,)):
-    """An array with its axes in order, and its frequencies, which must be omega, if there is one.
+    """Return an array with its axes in order, and its frequencies, which must be omega.
 
-    What has no frequencies is on omega, None if that is not known.
+    If the array has no frequencies, omega is returned, which may be None. If omega is None, the
+    array may have any frequencies.
     """
     array = with_axes(name, value, axes)
     if not is_labelled(array) or FREQUENCY not in array.coords:
@@ -71,7 +72,7 @@ def on(name: str, value, omega, axes=(FREQUENCY,)):
 
 
 def in_radians(name: str, omega) -> np.ndarray:
-    """Frequencies, refused if they say that they are in Hz."""
+    """Check frequencies; refuse frequencies whose unit is Hz."""
     if "Hz" in (unit := str(getattr(omega, "attrs", {}).get("units"))):
         raise ValueError(
             f"{name} is in {unit!r}, but must be in rad/s: convert it, and its attribute `units`"
@@ -80,7 +81,7 @@ def in_radians(name: str, omega) -> np.ndarray:
 
 
 def table_of(name: str, P, omega):
-    """A labelled P as python-control's frequency response data, and its frequencies, as of `on`."""
+    """Convert a labelled P to python-control's response data; frequencies are as in `on`."""
     array, omega = on(name, P, omega, (FREQUENCY, OUTPUT, INPUT))
     if not is_labelled(array) or omega is None:
         return array, omega
@@ -94,7 +95,7 @@ def table_of(name: str, P, omega):
 
 
 def _channels(name, array, axis):
-    """The names of the channels along an axis; None if there are none."""
+    """Return the names of the channels along an axis; None if there are none."""
     if axis not in array.coords:
         return None
     return arguments.different(f"{name}.{axis}", [str(label) for label in array[axis].values])

@@ -1,7 +1,8 @@
 """State-space models: their response, and the states that inputs reach and outputs show.
 
-Section III, before (12): what is left of a model when nothing is kept that no control reaches or no
-output shows; and any plant, a transfer function as well, as such a model in discrete time.
+Section III of the paper, before (12), reduces a model to the states that controls reach and outputs
+show. A second part of the module turns any plant, such as a transfer function, into a state-space
+model in discrete time.
 """
 
 import copyreg
@@ -20,14 +21,15 @@ from scipy.linalg.blas import dgemv
 
 from ilctools import arguments
 
-SILENT = 1e-9  # relative: a mode that is less is not reached, a response that is less the same
+# Relative: a mode below it is not reached, and responses that differ by less are the same.
+SILENT = 1e-9
 
-# With what a door realises, and what control.ss and control.sample_system may give by their types
+# Any: what an entry point realises, and what control.ss and control.sample_system give by type
 Model = control.StateSpace | Any
 
 
 def _reduced(model):
-    """What pickle makes of a model, so that designs and loops can be sent to other processes."""
+    """Pickle a model, so that designs and loops can be sent to other processes."""
     labels = {f"{kind}s": getattr(model, f"{kind}_labels") for kind in ("input", "output", "state")}
     make = partial(control.StateSpace, name=model.name, remove_useless_states=False, **labels)
     return make, (model.A, model.B, model.C, model.D, model.dt)
@@ -37,7 +39,7 @@ copyreg.pickle(control.StateSpace, _reduced)  # its own attributes are lambdas
 
 
 def frequency_response(system: Model, omega) -> np.ndarray:
-    """Response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex.
+    """Compute the response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex.
 
     See Also
     --------
@@ -59,7 +61,7 @@ def frequency_response(system: Model, omega) -> np.ndarray:
 
 
 def _response(system, points):
-    """C (sI - A)^-1 B + D at points s of the complex plane."""
+    """Compute C (sI - A)^-1 B + D at points s of the complex plane."""
     T, B, C, D = schur_form(system)
     distance = np.abs(points[:, None] - np.diag(T)).min(initial=np.inf)
     if distance <= len(T) * np.finfo(float).eps * np.linalg.norm(T):  # within its rounding
@@ -68,19 +70,19 @@ def _response(system, points):
 
 
 def schur_form(system: Model):
-    """A model with its A made triangular, Z* A Z = T, its poles on the diagonal: T, B, C, D."""
+    """Transform A of a model to triangular T = Z* A Z, poles on the diagonal: T, B, C, D."""
     A, B, C = balanced(system)
     T, Z = schur(A, output="complex")
     return T, Z.conj().T @ B, C @ Z, system.D
 
 
 def by_substitution(T, B, C, D, z) -> np.ndarray:
-    """C (zI - T)^-1 B + D of a triangular T, for all z at once, shape (n, outputs, inputs)."""
+    """Compute C (zI - T)^-1 B + D for triangular T and all z, shape (n, outputs, inputs)."""
     n, m = B.shape
     X = np.empty((n, m * len(z)), dtype=complex)
     for i in reversed(range(n)):  # (zI - T) X = B, from the last row up
         right = T[i, i + 1 :]
-        used = right != 0  # of a delay one in each row
+        used = right != 0  # for a delay, one entry in each row
         row = (right[used] @ X[i + 1 :][used]).reshape(m, -1) + B[i, :, None]
         X[i] = (row / (z - T[i, i])).ravel()
     G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
@@ -88,11 +90,11 @@ def by_substitution(T, B, C, D, z) -> np.ndarray:
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
-    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), shape (time, n).
+    """Compute the states x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), shape (time, n).
 
     See Also
     --------
-    run_trials : trials of a loop
+    run_trials : simulates trials of a loop
 
     Examples
     --------
@@ -104,8 +106,8 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     x = arguments.array("initial", initial, ("n",))
     A = arguments.array("A", A, (len(x), len(x)))
     forcing = arguments.array("forcing", forcing, ("time", len(x)))
-    # sample by sample: powers of A, of which there would be fewer, are rounded by as much as A is
-    # large, and a companion matrix is; trials of a stage at 2 kHz were then off by thousands
+    # Sample by sample: powers of A would need fewer steps, but their rounding grows with the size
+    # of A, and a companion matrix is large. Trials of a stage at 2 kHz then erred by thousands.
     x, A = np.vstack([x, forcing[:-1]]), np.asfortranarray(A)
     if len(A):
         for before, now in pairwise(x):
@@ -116,7 +118,7 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
 
 
 def from_rest(model: control.StateSpace, w) -> np.ndarray:
-    """The outputs of a model on a trial, (time, p), of its inputs (time, m)."""
+    """Simulate a model from rest: outputs (time, p) from inputs (time, m) of a trial."""
     direct = w @ model.D.T
     if not model.nstates:
         return direct
@@ -125,24 +127,24 @@ def from_rest(model: control.StateSpace, w) -> np.ndarray:
 
 
 def on_trial(samples: int, of_x, of_d, delay: int = 0) -> sparse.csc_array:
-    """The matrix of signals of_x x(p - delay) + of_d d(p - delay), p = 0, ..., samples - 1.
+    """Make the matrix of signals of_x x(p - delay) + of_d d(p - delay), p = 0, ..., samples - 1.
 
-    Its columns are those of the states x in all samples, and then those of the inputs d.
+    The columns of the matrix belong to the states x in all samples, and then to the inputs d.
     """
     time = sparse.eye_array(samples, k=-delay)
     return sparse.hstack([sparse.kron(time, part, "csc") for part in (of_x, of_d)], "csc")
 
 
 def dynamics_on_trial(samples: int, A, B) -> sparse.csc_array:
-    """The matrix of x(p) - A x(p - 1) - B d(p - 1), which is zero on a trial from rest."""
+    """Make the matrix of x(p) - A x(p - 1) - B d(p - 1), which is zero on a trial from rest."""
     return on_trial(samples, np.eye(len(A)), np.zeros_like(B)) - on_trial(samples, A, B, delay=1)
 
 
 def unreachable_modes(A, B) -> np.ndarray:
-    """Left eigenvectors (n, r) of modes that no input can excite, by Hautus.
+    """Compute left eigenvectors (n, r) of modes that no input can excite, by the Hautus test.
 
-    A mode counts as one if the smallest singular value of [lambda I - A, B], both blocks scaled to
-    norm one, is below SILENT. For unobservable modes pass A', C'.
+    Both blocks of [lambda I - A, B] are scaled to norm one. A mode is unreachable if the smallest
+    singular value of this matrix is below SILENT. For unobservable modes pass A', C'.
     """
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
     values, vectors = [], []
@@ -158,7 +160,7 @@ def unreachable_modes(A, B) -> np.ndarray:
 
 
 def reachable_basis(A, B) -> np.ndarray:
-    """Orthonormal basis of the reachable subspace, shape (n, r)."""
+    """Compute an orthonormal basis of the reachable subspace, shape (n, r)."""
     basis = np.eye(len(A))
     while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
         silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
@@ -171,30 +173,33 @@ def reachable_basis(A, B) -> np.ndarray:
 def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateSpace:
     """Restrict a plant to the states that its controls reach and its outputs show.
 
-    The state is expressed in an orthonormal basis of the reachable subspace, then of the
-    observable part of it. The order matters: the observer's weight Q_o = diag(I, 2I) is not
-    invariant, and this is the order that gives the gains which the paper prints.
+    The state is expressed in an orthonormal basis of the reachable subspace, and then of the
+    observable part of this subspace. The order matters, because the observer's weight
+    Q_o = diag(I, 2I) is not invariant. With the order used here, the gains are the gains that the
+    paper prints.
 
     Parameters
     ----------
     plant : control.StateSpace
+        The plant.
     controls : sequence of str
-        Names of the inputs that are controls u. All others are disturbances d.
+        Names of the inputs that are controls u. All other inputs are disturbances d.
 
     Returns
     -------
     control.StateSpace
-        The controls first, then the disturbances, as far as they act on the states kept.
+        The model. The controls are its first inputs. The disturbances follow, as far as they act on
+        the remaining states.
 
     Raises
     ------
     ValueError
-        If the controls reach nothing, or if rounding decides what they reach: what is left must
-        have the same frequency response.
+        If the controls reach no state, or if rounding decides which states they reach. The
+        remaining model must have the same frequency response as the plant.
 
     See Also
     --------
-    current_trial_loop : what is made of the rest
+    current_trial_loop : designs a loop for the remaining model
 
     Examples
     --------
@@ -216,7 +221,7 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
         T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
         inputs=plant.input_labels, outputs=plant.output_labels,
     )  # fmt: skip
-    half = np.linspace(0.02, 1.5, 64)  # of an angle, away from integrators; jw by tan
+    half = np.linspace(0.02, 1.5, 64)  # half an angle, away from integrators; j omega by tan
     points = np.exp(2j * half) if plant.dt else 1j * np.linalg.norm(A) * np.tan(half)
     P, same = (_response(x[:, [*controls]], points) for x in (plant, minimal))
     if np.abs(same - P).max() > SILENT * np.abs(P).max():
@@ -228,7 +233,7 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
 
 
 def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
-    """The plant with its inputs in the order controls, disturbances."""
+    """Sort the inputs of a plant: first the controls, then the disturbances."""
     names = plant.input_labels
     ordered = arguments.different("controls", controls)
     if not ordered or not {*ordered} <= {*names}:
@@ -239,12 +244,12 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
 
 
 def model_and_response(name: str, plant, omega, Ts: float):
-    """A plant as a model, or None, and its response on omega; what is an array stays one."""
+    """Return a plant as a model, or None, and its response on omega; an array stays an array."""
     refuse_foreign(name, plant)
     if not isinstance(plant, control.LTI):
         return None, plant
     measured = isinstance(plant, control.FrequencyResponseData)
-    unsaid = measured and plant.dt in (None, True, 0)  # as samples may leave it
+    unsaid = measured and plant.dt in (None, True, 0)  # samples need not state a period
     if not unsaid and (plant.dt is True or plant.dt != Ts):  # True, some period, equals 1 s
         raise ValueError(
             f"{name}.dt = {plant.dt!r} must be Ts = {Ts!r}: pass it, as control.ss(..., Ts), or "
@@ -258,8 +263,8 @@ def model_and_response(name: str, plant, omega, Ts: float):
 
 
 def _samples_on(name, P, omega, nyquist):
-    """Samples of python-control's frequency response data, which must be those on omega."""
-    own = np.minimum(P.omega, nyquist)  # whose rounding may pass it
+    """Return the samples of python-control's response data; their frequencies must be omega."""
+    own = np.minimum(P.omega, nyquist)  # rounding may take the last one above Nyquist's
     if len(own) != len(omega) or not np.allclose(own, omega, rtol=1e-9, atol=0):
         raise ValueError(
             f"{name} is known at {len(P.omega)} frequencies, which are not those of omega: pass "
@@ -269,7 +274,7 @@ def _samples_on(name, P, omega, nyquist):
 
 
 def refuse_foreign(name: str, value) -> None:
-    """Refuse what stands for a model and is none of python-control's; the error says the remedy."""
+    """Refuse models that are not linear models of python-control; the error names the remedy."""
     remedy, models = None, control.StateSpace | control.TransferFunction
     if isinstance(value, signal.lti | signal.dlti):
         remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
@@ -286,7 +291,7 @@ def refuse_foreign(name: str, value) -> None:
 
 
 def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
-    """A plant in discrete time as a state-space model; realises a transfer function."""
+    """Return a plant in discrete time as a state-space model; realise a transfer function."""
     refuse_foreign(name, plant)
     if isinstance(plant, control.FrequencyResponseData):
         raise ValueError(
@@ -307,7 +312,7 @@ def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
 
 
 def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
-    """Markov parameters D, C B, C A B, ... of a model, shape (samples, outputs, inputs)."""
+    """Compute the Markov parameters D, C B, C A B, ... of a model, (samples, outputs, inputs)."""
     h = np.empty((samples, model.noutputs, model.ninputs))
     h[0], X = model.D, model.B
     for p in range(1, samples):
@@ -316,7 +321,7 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def balanced(model, *further):
-    """A, B and C, and further rows of C, with no entry of A that is large merely by its unit."""
+    """Scale A, B, C and further rows of C, so that no entry of A is large merely by its unit."""
     # The errors of a Schur form and of sparse factors are relative to the largest entry of A. If
     # one state is counted in units of 1e-8, the others lose eight digits.
     A, B, C = model.A, model.B, np.vstack([model.C, *further])
@@ -324,8 +329,8 @@ def balanced(model, *further):
     inputs = np.abs(B).max(axis=1, keepdims=True)
     outputs = np.abs(C).max(axis=0, keepdims=True)
     size = np.block([[np.abs(A), inputs], [outputs, 0]])
-    np.fill_diagonal(size, 0)  # which no unit changes
-    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
+    np.fill_diagonal(size, 0)  # no unit changes the diagonal
+    with np.errstate(invalid="ignore"):  # a cast to whole numbers that are not used
         _, (scale, _) = matrix_balance(size, permute=False, separate=True)
     scale = scale[:-1] / scale[-1]
     return A * scale / scale[:, None], B / scale[:, None], C * scale
@@ -334,8 +339,8 @@ def balanced(model, *further):
 def _realised(plant, name):
     """Realise a transfer function: P = H R, a minimal H behind a shift register R of each input.
 
-    The delay of an entry is where H taps the register. As states of H, delays that several entries
-    share would leave it to rounding which of them is minimal.
+    The delay of an entry is the place where H taps the register. If delays that several entries
+    share were states of H, rounding would decide which of these states are minimal.
     """
     m, p = plant.shape
     parts = {place: _without_delay(name, plant, *place) for place in np.ndindex(m, p)}
@@ -352,11 +357,11 @@ def _realised(plant, name):
 
 
 def _without_delay(name, plant, i, j):
-    """The delay of an entry of a transfer function, in samples, and a model of the rest."""
+    """Split an entry of a transfer function into a delay, in samples, and a model of the rest."""
     num, den = plant.num[i][j], plant.den[i][j]
     num = np.append(np.trim_zeros(num[:-1], "f"), num[-1])
     delay = max(0, len(den) - max(len(num), len(np.trim_zeros(den, "b"))))
-    size = 2.0 ** np.frexp(np.abs(num).max())[1]  # below 1e-14 scipy takes a first one for zero
+    size = 2.0 ** np.frexp(np.abs(num).max())[1]  # scipy takes a first number below 1e-14 for zero
     try:
         rest = control.ss(control.tf(num / size, den[: len(den) - delay], plant.dt))
         return delay, control.ss(rest.A, rest.B, size * rest.C, size * rest.D, rest.dt)
@@ -368,7 +373,7 @@ def _without_delay(name, plant, i, j):
 
 
 def shift_register(delays: Sequence[int], dt: float | bool) -> control.StateSpace:
-    """A shift register with one input, and an output after each of some delays, in samples."""
+    """Make a shift register with one input, and one output for each delay, in samples."""
     taps, length = np.eye(1 + max(delays))[delays], max(delays)
     A, B = np.eye(length, k=-1), np.eye(length, 1)
     return control.ss(A, B, taps[:, 1:], taps[:, :1], dt)

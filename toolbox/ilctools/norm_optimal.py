@@ -1,7 +1,7 @@
 """Norm-optimal learning, for the same law (23).
 
-It is a :class:`ilctools.filters.LearningOperator`, as a :class:`ilctools.LearningFilter` is: it
-goes where L goes.
+:class:`NormOptimal` is a :class:`ilctools.filters.LearningOperator`, like
+:class:`ilctools.LearningFilter`, and can be used wherever L is used.
 """
 
 from dataclasses import dataclass
@@ -16,41 +16,44 @@ from ilctools.riccati import TrialLeastSquares
 
 @dataclass(frozen=True, eq=False)
 class NormOptimal:
-    """L = (P_N^T W P_N + weight I)^-1 P_N^T W, for trials of N samples.
+    """The norm-optimal law L = (P_N^T W P_N + weight I)^-1 P_N^T W, for trials of N samples.
 
-    The change of v that minimises (e - P_N change)^T W (e - P_N change) + weight ||change||^2, with
-    W = I or the diagonal matrix of the weights `errors`. N. Amann, D. H. Owens
-    and E. Rogers, Iterative learning control using optimal feedback and feedforward actions,
-    International Journal of Control 65 (1996) 277-293; on the rod, the paper's [15].
+    L gives the change of v that minimises the sum of (e - P_N change)^T W (e - P_N change) and
+    weight ||change||^2. W is I, or the diagonal matrix of the weights `errors`. The source is
+    N. Amann, D. H. Owens and E. Rogers, Iterative learning control using optimal feedback and
+    feedforward actions, International Journal of Control 65 (1996) 277-293. For the rod, see [15]
+    of the paper.
 
     Attributes
     ----------
     P : control.StateSpace
-        In discrete time, stable, from rest. With more outputs p than inputs m, no other change of
-        v leaves less of an error, but for the weight.
+        The plant in discrete time, stable, and at rest before a trial. With more outputs p than
+        inputs m, no other change of v leaves a smaller error, apart from the effect of the weight.
     weight : float
-        Above zero, in the square of the unit of y per unit of w.
+        Weight of the change, above zero, in the square of the unit of y per unit of w.
     samples : int
         Length N of a trial.
     errors : array_like, shape (samples, p), or (samples,) of one output, optional
-        Weights of the errors, by time and output, in W: zero where nothing is asked. A reference
-        with NaN sets them by itself. Default: one.
+        Weights of the errors in W, by time and output. A weight is zero where the error does not
+        count. A reference with NaN sets the weights automatically. Default: one.
 
     See Also
     --------
-    Law : what takes it as L
-    synthesise : a filter with bounds instead
+    Law : uses this law as L
+    synthesise : designs a filter with bounds instead
 
     Notes
     -----
-    The inverse is never formed. By the states of P, the change follows from a recursion backwards
-    in time and one forwards (:mod:`.riccati`). Their gains change near the end of the trial alone,
-    so that memory is little more than the signals. Rounding moves the change by 1e-16 times the
-    condition of the normal equations, (sigma_max(P)^2 + weight) / weight, at most.
+    The inverse is never formed. With the states of P, the change follows from one recursion
+    backwards in time and one recursion forwards (:mod:`.riccati`). The gains of the recursions
+    change only near the end of the trial, so that memory is little more than the signals. Rounding
+    moves the change by at most 1e-16 times the condition number of the normal equations, which is
+    (sigma_max(P)^2 + weight) / weight.
 
-    A transfer function whose modes are slow beside Ts and close to each other has coefficients that
-    determine a trial to few digits (three modes of 3, 4 and 5 Hz at 1 kHz: to a tenth). Take its
-    states instead, ``control.sample_system(control.ss(plant), Ts)``.
+    Some transfer functions have modes that are slow compared with Ts and close to each other. The
+    coefficients of such a transfer function determine a trial to few digits only. With three modes
+    of 3, 4 and 5 Hz at 1 kHz, the accuracy is a tenth. Use states instead, as in
+    ``control.sample_system(control.ss(plant), Ts)``.
 
     Examples
     --------
@@ -92,11 +95,11 @@ class NormOptimal:
 
     @property
     def weight_of_errors(self) -> np.ndarray | float:
-        """That of the norm in which it learns: `errors`."""
+        """Weight of the errors in the norm that is minimised: `errors`."""
         return 1.0 if self.errors is None else self.errors
 
     def __getstate__(self):
-        """All fields, but no factors: another process computes them faster than it reads them."""
+        """All fields except the factors, which another process computes faster than it reads."""
         return {name: value for name, value in vars(self).items() if name != "_factors"}
 
     @property
@@ -116,13 +119,14 @@ class NormOptimal:
 
     @property
     def weight_of_change(self) -> float:
-        """That of the norm in which it learns: `weight`."""
+        """Weight of the change in the norm that is minimised: `weight`."""
         return self.weight
 
     def frequency_response(self, omega) -> np.ndarray:
-        """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial.
+        """Compute (P^H P + weight I)^-1 P^H, the limit of L far from the ends of a long trial.
 
-        Weights of errors count by their means over time: a law with others is none of frequencies.
+        Weights of errors count by their means over time, because a law with weights that vary in
+        time has no frequency response.
         """
         root = np.sqrt(np.ones(self.columns) if self.errors is None else self.errors.mean(axis=0))
         P = root[:, None] * frequency_response(self.P, omega)
@@ -130,16 +134,16 @@ class NormOptimal:
 
     @cached_property
     def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and C of P in states of like size: one that is large by its unit rules no other."""
+        """A, B and C of P in states of like size, so that no state dominates by its unit."""
         return balanced(self.P)
 
     @cached_property
     def _factors(self) -> TrialLeastSquares:
-        """Of the least squares on a trial, for any error."""
+        """Factors of the least squares on a trial, for any error."""
         return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples, self.errors)
 
     def apply(self, signal) -> np.ndarray:
-        """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
+        """Compute the best change (..., samples, m) for an error of shape (..., samples, p)."""
         shape = ..., self.samples, self.columns
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
         signal = signal * self.weight_of_errors
@@ -151,7 +155,7 @@ class NormOptimal:
         return change
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """The transpose of the matrix that :meth:`apply` is: W P_N (P_N^T W P_N + weight I)^-1."""
+        """Apply W P_N (P_N^T W P_N + weight I)^-1, the transpose of the matrix of :meth:`apply`."""
         shape = ..., self.samples, self.P.ninputs
         signal = arguments.array("signal", signal, shape)
         C, D = self._states[2], self.P.D
@@ -164,7 +168,7 @@ class NormOptimal:
 
 
 def regularised_inverse(P, b) -> np.ndarray:
-    """(P* P + b^2 I)^-1 P* of responses P, (n, p, m), by factors, for P may be large."""
+    """Compute (P* P + b^2 I)^-1 P* of responses P, (n, p, m), by factors, as P may be large."""
     p, m = P.shape[1:]
     below = np.broadcast_to(b * np.eye(m), (len(P), m, m))
     Q, R = np.linalg.qr(np.concatenate([P, below], axis=1))

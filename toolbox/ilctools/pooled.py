@@ -1,25 +1,26 @@
-"""Several plants as one model: one below the other, with what they have in common kept once.
+"""Several plants stacked into one model, in which common states are kept once.
 
 The plants P_k, each divided by sqrt(p), are driven by the same inputs. Copies of one plant that
-differ in gain alone have all of their states in common, and plants that are alike have most of
-them. With the factors of the two Gramians of the stacked model,
+differ in gain alone have all states in common. Plants that are alike have most states in common.
+With the factors of the two Gramians of the stacked model,
 
     X X^T = sum over k of A^k B B^T A^kT,    Y Y^T = sum over k of A^kT C^T C A^k,
 
 and Y^T X = U S V^T,
 
-the states S^(-1/2) U^T Y^T x are balanced. Without those of the least singular values in S, the
-response differs by twice the sum of these values at most: K. Glover, International Journal of
-Control 39 (1984) 1115-1193; in discrete time U. M. Al-Saggaf and G. F. Franklin, IEEE Transactions
-on Automatic Control 32 (1987) 815-819. The factors are found by doubling, X <- [X, A^(2^j) X], and
-are never squared, so that small singular values keep their digits.
+the states S^(-1/2) U^T Y^T x are balanced. If the states of the least singular values in S are left
+out, the response differs by at most twice the sum of these values. The sources are K. Glover,
+International Journal of Control 39 (1984) 1115-1193, and in discrete time U. M. Al-Saggaf and
+G. F. Franklin, IEEE Transactions on Automatic Control 32 (1987) 815-819. The factors are found by
+doubling, X <- [X, A^(2^j) X], and are never squared. Small singular values thus keep their digits.
 
-The stacked P may be multiplied from the left by a matrix with orthonormal rows, if these span the
-columns of [C, D]: P* P and P* E, which is all that B needs, remain. So P keeps as many outputs as
-[C, D] has columns.
+The stacked P may be multiplied from the left by a matrix with orthonormal rows, if these rows span
+the columns of [C, D]. The multiplication does not change P* P and P* E, which are all that B needs.
+P therefore keeps as many outputs as [C, D] has columns.
 
-If P has an error of d, then to first order B differs by 5 d / (4 b^2) at most, and M by that times
-sigma_max(P). So d is chosen for a small change of M, and then P* P is compared with its mean.
+If P has an error of d, then to first order B differs by at most 5 d / (4 b^2). M differs by at most
+this value times sigma_max(P). d is chosen for a small change of M. Afterwards P* P is compared with
+its mean over the plants.
 """
 
 from typing import NamedTuple
@@ -31,14 +32,15 @@ from scipy.linalg import qr
 from ilctools.models import balanced, frequency_response
 from ilctools.singular_values import largest_singular_values
 
-GROUP = 8  # models that are joined at a time: of 200, two take 1.6 times and 32 twice as long
-CHANGES = 1e-9, 1e-5  # of M, for which states are left out; the second if too many remain, as a
-# finite filter in the place of B would change M by 1e-4
-# of the terms of a Gramian, at most: a pole within 1e-14 of the circle rings so long
+GROUP = 8  # models joined at a time: for 200 models, 2 take 1.6 times as long, and 32 twice as long
+CHANGES = 1e-9, 1e-5  # change of M up to which states are left out. The second counts if too many
+# states remain, because a finite filter in place of B would change M by 1e-4.
+# Largest number of doublings of the terms of a Gramian: a pole within 1e-14 of the circle rings so
+# long.
 DOUBLINGS = 50
-ROUNDING_OF_GRAMIAN = 1e-17  # of a Gramian's factor, relative: what is less is not added
-LEVELS_OF_GROUPS = 3  # levels of groups of GROUP, up to 512 models, each of which adds its error
-COMPARED_FREQUENCIES = 128  # at which P* P is compared, beside those of the poles
+ROUNDING_OF_GRAMIAN = 1e-17  # relative to a Gramian's factor: smaller terms are not added
+LEVELS_OF_GROUPS = 3  # levels of groups of GROUP, up to 512 models; each level adds its error
+COMPARED_FREQUENCIES = 128  # number of frequencies at which P* P is compared, besides the poles'
 
 
 class Pooled(NamedTuple):
@@ -49,14 +51,14 @@ class Pooled(NamedTuple):
 
 
 def isometry(copies, size) -> np.ndarray:
-    """E: so many identities one below the other, divided by the root of their number."""
+    """Make E: identities one below the other, divided by the root of their number."""
     return np.tile(np.eye(size), (copies, 1)) / np.sqrt(copies)
 
 
 def pooled(models, b, change) -> Pooled:
-    """P and E of several models, with so few states that M changes by `change` at most.
+    """Make P and E of several models, with as few states as change M by at most `change`.
 
-    If the comparison at many frequencies says otherwise, all states are kept.
+    If the comparison at many frequencies contradicts this, all states are kept.
     """
     count, (p, m) = len(models), models[0].shape
     if count == 1:
@@ -75,7 +77,7 @@ def pooled(models, b, change) -> Pooled:
 
 
 def _with_few_states(models, error) -> Pooled:
-    """Several models, group by group; P then differs by LEVELS_OF_GROUPS times `error` at most."""
+    """Join models group by group; P then differs by at most LEVELS_OF_GROUPS times `error`."""
     share = 1 / np.sqrt(len(models))
     groups = [Pooled(model * share, np.eye(model.noutputs) * share) for model in models]
     while len(groups) > 1:
@@ -86,12 +88,12 @@ def _with_few_states(models, error) -> Pooled:
 
 
 def _square(P):
-    """P* P."""
+    """Compute P* P."""
     return P.conj().swapaxes(-2, -1) @ P
 
 
 def _joined(group, error) -> Pooled:
-    """Some pooled plants as one, with few states and outputs; P then differs by `error` at most."""
+    """Join pooled plants, with few states and outputs; P then differs by at most `error`."""
     P = control.append(*(part.P for part in group))
     P *= np.tile(np.eye(group[0].P.ninputs), (len(group), 1))
     A, B, C = _truncated(*balanced(P), error)
@@ -102,7 +104,7 @@ def _joined(group, error) -> Pooled:
 
 
 def _truncated(A, B, C, error):
-    """A balanced model without states, whose response differs by `error` at most."""
+    """Balance a model and leave out states; the response then differs by at most `error`."""
     X, Y = _gramian_factor(A, B), _gramian_factor(A.T, C.T)
     U, S, Vh = np.linalg.svd(Y.T @ X)
     lost = 2 * np.cumsum(S[::-1])[::-1]  # without this state and all smaller ones
@@ -113,7 +115,7 @@ def _truncated(A, B, C, error):
 
 
 def _gramian_factor(A, B):
-    """X of shape (n, n or less) with X X^T = sum over k of A^k B B^T A^kT, by doubling."""
+    """Compute X, (n, n or less), with X X^T = sum over k of A^k B B^T A^kT, by doubling."""
     X, power = B, A
     for _ in range(DOUBLINGS):
         further = power @ X

@@ -1,6 +1,7 @@
-"""A sign of life, on stderr: in a terminal and, after a while, in a notebook; in no other file.
+"""Progress bars on stderr: in a terminal and, after a while, in a notebook, but in no other file.
 
-A notebook keeps what it shows, but where the variable TQDM_DISABLE is set: make test sets it.
+A notebook keeps what it shows, unless the variable TQDM_DISABLE is set. `make test` sets this
+variable.
 """
 
 import os
@@ -10,11 +11,11 @@ from threading import Event, Thread
 
 from tqdm import tqdm
 
-PATIENCE = 5  # s, from which on one wonders
+PATIENCE = 5  # s, after which a user wonders
 
 
 def progress(**options) -> tqdm:
-    """A bar of what is counted."""
+    """Make a progress bar."""
     where = {"disable": None}  # unless it is a terminal
     if type(sys.stderr).__module__.startswith("ipykernel"):
         off = "TQDM_DISABLE" in os.environ

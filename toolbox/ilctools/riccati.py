@@ -1,13 +1,13 @@
-"""Least squares on a trial of many samples, by the states of the plant: a Riccati recursion.
+"""Least squares on a trial of many samples, by a Riccati recursion on the states of the plant.
 
-Of all inputs d, we look for the one that minimises
+We look for the input d that minimises
 
     sum over p of |y(p)|^2 + weight |d(p)|^2 - 2 f(p)' x(p) - 2 g(p)' d(p),                     (1)
     x(p + 1) = A x(p) + B d(p),    y(p) = C x(p) + D d(p),    x(0) = 0,    p = 0, ..., N - 1.
 
-With f = C' e and g = D' e this is the change that fits an error e best. By dynamic programming, the
-least sum from sample p on is x' S(p) x - 2 s(p)' x and a constant, where S(N) = 0, s(N) = 0, and
-backwards in time
+With f = C' e and g = D' e, this d is the change that fits an error e best. By dynamic programming,
+the least sum from sample p on is x' S(p) x - 2 s(p)' x plus a constant. Here S(N) = 0, s(N) = 0,
+and backwards in time
 
     R(p) = weight I + D' D + B' S(p + 1) B,                                                     (2)
     K(p) = R(p)^-1 (D' C + B' S(p + 1) A),                                                      (3)
@@ -19,15 +19,15 @@ Then, forwards in time,
     d(p) = u(p) - K(p) x(p),    u(p) = R(p)^-1 (g(p) + B' s(p + 1)),                            (6)
     x(p + 1) = F(p) x(p) + B u(p).                                                              (7)
 
-(2) to (4) do not depend on f and g. Some samples before the end of the trial K, R and S stop
-changing, so that one K serves all samples before: memory for a trial is little more than its
-signals. S is propagated as S = U' U (square-root form): the QR decomposition
+(2) to (4) do not depend on f and g. Some samples before the end of the trial, K, R and S stop
+changing. One K therefore serves all earlier samples, and memory for a trial is little more than its
+signals. S is propagated as S = U' U (square-root form). The QR decomposition
 
     [ sqrt(weight) I    0    ]
     [       D           C    ]  =  orthogonal [ T   T K ]          with  R = T' T
     [      U B         U A   ]                [ 0    U  ]
 
-gives T, T K and the next U without a difference of numbers that nearly cancel, as in (4).
+gives T, T K and the next U, without the difference of numbers that nearly cancel in (4). See
 B. D. O. Anderson and J. B. Moore, Optimal filtering, Prentice-Hall, 1979, Section 6.5.
 """
 
@@ -37,25 +37,25 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtbtrs
 
-# Relative change of S between one look and the next, which is half as far again from the end. S
-# grows ever more slowly: where its modes decay, by far less afterwards. Rounding moves it by 1e-14.
+# Relative change of S between one look and the next look, which is half as far again from the end.
+# S grows ever more slowly, and by far less afterwards if modes decay. Rounding moves S by 1e-14.
 STATIONARY_S = 1e-13
 FIRST_LOOK = 8  # samples from the end of the trial to the first look
-PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: it stays in the cache
+PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: the matrix fits the cache
 
 
 class Gains(NamedTuple):
-    """K, and T^-1 with R = T' T, of the last samples of a trial; the first serve all before."""
+    """K, and T^-1 with R = T' T, for the last samples of a trial; the first serve all before."""
 
     K: np.ndarray  # (count, m, n)
     root: np.ndarray  # (count, m, m), T^-1
 
 
 def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
-    """K and T^-1 by (2) to (4), backwards from the end until S no longer changes.
+    """Compute K and T^-1 by (2) to (4), backwards from the end until S no longer changes.
 
-    With weights of errors (samples, p), |y|^2 in (1) is sum_i errors_i y_i^2, and there are gains
-    of all samples.
+    With weights of errors (samples, p), |y|^2 in (1) becomes sum_i errors_i y_i^2. Gains are then
+    computed for all samples.
     """
     n, m = B.shape
     above = np.block([[np.sqrt(weight) * np.eye(m), np.zeros((m, n))], [D, C]])
@@ -70,7 +70,7 @@ def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
 
 
 def _until_stationary(above, dynamics, samples) -> np.ndarray:
-    """T and T K of the last samples, backwards until S no longer changes."""
+    """Compute T and T K of the last samples, backwards until S no longer changes."""
     n = len(dynamics)
     U, S, count, parts = np.zeros((n, n)), np.zeros((n, n)), 0, []
     stationary = False
@@ -86,9 +86,10 @@ def _until_stationary(above, dynamics, samples) -> np.ndarray:
 
 
 def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
-    """T and T K, side by side, of so many samples before that of U; and U of the first of them.
+    """Compute T and T K, side by side, for `count` samples before the sample of U.
 
-    `above` are the rows of (2) to (4) that do not come from U, of each sample.
+    The U of the first of these samples is also returned. `above` has, for each sample, the rows of
+    (2) to (4) that do not come from U.
     """
     n, width = dynamics.shape
     m, height = width - n, above.shape[1]
@@ -104,7 +105,7 @@ def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TrialLeastSquares:
-    """The minimum of (1) for trials of so many samples; factored once, for any f and g."""
+    """The minimum of (1) for trials of N samples, factored once for any f and g."""
 
     def __init__(self, A, B, C, D, weight: float, samples: int, errors=None):
         self.A, self.B, self.samples = A, B, samples
@@ -114,10 +115,11 @@ class TrialLeastSquares:
         self.parts = [slice(start, min(start + piece, samples)) for start in starts]
 
     def solved(self, signal, to_x, to_d) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """x and d, piece by piece of the trial, for f = to_x' signal and g = to_d' signal.
+        """Compute x and d, piece by piece, for f = to_x' signal and g = to_d' signal.
 
-        The signal has the shape (trials, samples, any); x and d of the samples of a slice have
-        (trials, so many, n or m).
+        The signal has the shape (trials, samples, any). For each piece, the slice of its samples is
+        returned, with x, (trials, samples of the slice, n), and d, (trials, samples of the slice,
+        m).
         """
         u = self._forced(signal, to_x, to_d)
         x = np.zeros((len(signal), len(self.A)))
@@ -131,7 +133,7 @@ class TrialLeastSquares:
             yield part, states, changes
 
     def _forced(self, signal, to_x, to_d) -> np.ndarray:
-        """u of (6), (trials, samples, m), for the f and g of :meth:`solved`."""
+        """Compute u of (6), (trials, samples, m), for the f and g of :meth:`solved`."""
         u = np.empty((len(signal), self.samples, self.B.shape[1]))
         s = np.zeros((len(signal), len(self.A)))
         for part in reversed(self.parts):
@@ -146,7 +148,7 @@ class TrialLeastSquares:
         return u
 
     def _of(self, part):
-        """K, T^-1 and F of each sample of a piece."""
+        """Select K, T^-1 and F of each sample of a piece."""
         before = self.samples - len(self.gains.K)  # samples at which the first gains hold
         number = np.maximum(np.arange(part.start, part.stop) - before, 0)
         K, root = (each[number] for each in self.gains)
@@ -154,9 +156,9 @@ class TrialLeastSquares:
 
 
 def _substituted(F, right, trans) -> np.ndarray:
-    """x(p) of x(p + 1) - F(p) x(p) = right(p + 1), or of its transpose, (trials, samples, n).
+    """Solve x(p + 1) - F(p) x(p) = right(p + 1), or its transpose, for x, (trials, samples, n).
 
-    By the lower triangular matrix of the whole piece, with ones on its diagonal.
+    The matrix of the whole piece is lower triangular, with ones on its diagonal.
     """
     if not right.size:
         return right
@@ -170,5 +172,5 @@ def _substituted(F, right, trans) -> np.ndarray:
 
 
 def _times(signal, matrices) -> np.ndarray:
-    """signal(p)' M(p), for signals (trials, samples, k)."""
+    """Compute signal(p)' M(p), for signals (trials, samples, k)."""
     return np.einsum("tpk,pkl->tpl", signal, matrices)

@@ -1,6 +1,6 @@
-"""Signals of trials, and do a loop, a law, a plant, a log or a rig fit together?
+"""Signals of trials, and checks that a loop, a law, a plant, a log or a rig fit together.
 
-Their periods, channels and units are compared.
+The checks compare sampling periods, channels and units.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,10 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 
-ASKED = "asked"  # the coordinate of points
+ASKED = "asked"  # the coordinate that says at which points the error counts
 TRIAL_AXES = ("trial", "time", "channel")  # of outputs and controls
-# Of trials, in their order in a log, and the role of their channels. v is of inputs where it is not
-# added to references, one for each output.
+# Signals of trials, in their order in a log, and the role of their channels. The channels of v are
+# inputs if v is not added to references, one for each output.
 SIGNALS = {
     "reference": "output",
     "v": "output",
@@ -31,10 +31,11 @@ SIGNALS = {
 
 @dataclass(frozen=True)
 class Signals:
-    """Sampling period (s), names and units of the signals of something; None: not known.
+    """Sampling period (s), names and units of signals; None means not known.
 
-    Outputs, learned inputs and controls are the same wherever they are known. Labels are those of
-    models: two may have other ones, but not the same ones in another order.
+    Outputs, learned inputs and controls must be the same wherever they are known. Labels are the
+    names of the signals of models. Two models may have different labels, but not the same labels in
+    another order.
     """
 
     Ts: float | None = None
@@ -46,7 +47,7 @@ class Signals:
 
     @classmethod
     def of_log(cls, trials) -> "Signals":
-        """Those of a log, or of what :func:`ilctools.run_trials` returns."""
+        """Read the signals of a log, or of the result of :func:`ilctools.run_trials`."""
         names, units = {}, {}
         for role in ROLES:
             if role in trials.coords:
@@ -59,7 +60,7 @@ class Signals:
 
     @classmethod
     def of_plant(cls, plant, Ts: float) -> "Signals":
-        """Labels and units of a plant in any form; an array has none, and the period Ts."""
+        """Read labels and units of a plant in any form; an array has none, and the period Ts."""
         plant = getattr(plant, "loop", plant)  # of a measured response
         Ts, units = getattr(plant, "Ts", Ts), getattr(plant, "units", {})
         learned = None if getattr(plant, "one_for_one", True) else plant.learned
@@ -67,7 +68,7 @@ class Signals:
 
 
 def period_of(trials) -> float:
-    """Sampling period of trials, s, which their time must not contradict."""
+    """Return the sampling period of trials, s, which their times must not contradict."""
     Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
     if "time" in trials.coords:
         arguments.check_times("trials", trials.time.values, Ts)
@@ -84,9 +85,9 @@ def dataset(
     learned: Sequence[str] = (),
     **signals,
 ) -> xr.Dataset:
-    """Trials from their signals, shape (trial, time, channel), with coordinates and units.
+    """Make trials from their signals, shape (trial, time, channel), with coordinates and units.
 
-    `learned`, where v is not added to references one for one: the inputs that it is added to.
+    `learned` names the inputs to which v is added, if v is not added to references one for one.
     """
     trials, samples, p = signals["y"].shape
     if "reference" in signals:
@@ -110,9 +111,9 @@ def dataset(
 
 
 def with_points(trials: xr.Dataset, points) -> xr.Dataset:
-    """Trials of which something is asked at points only, (time, p), bool; None: everywhere.
+    """Mark points of trials at which the error counts, (time, p), bool; None: everywhere.
 
-    The coordinate `asked` says where; elsewhere the error is zero.
+    The coordinate `asked` holds the points. At all other points, the error is set to zero.
     """
     if points is None:
         return trials
@@ -122,27 +123,27 @@ def with_points(trials: xr.Dataset, points) -> xr.Dataset:
 
 
 def points_of(trials: xr.Dataset) -> np.ndarray | None:
-    """Where something is asked of trials, (time, p); None: everywhere."""
+    """Return the points of trials at which the error counts, (time, p); None: everywhere."""
     return trials[ASKED].values if ASKED in trials.coords else None
 
 
 def roles_of(of_inputs: bool) -> dict[str, str]:
-    """The role of the channels of each signal; whether v is of inputs, and not of references."""
+    """Return the role of each signal's channels; with `of_inputs`, the channels of v are inputs."""
     return SIGNALS | {"v": "input"} if of_inputs else SIGNALS
 
 
 def check_match(**parties) -> None:
     """Refuse parties that differ in sampling period, channels, their order, or units.
 
-    Each keyword is what an error calls the party: a loop, a law, a filter, a rig, a model,
-    :class:`Signals`, ... Of their periods, channels, names and units those are compared that two
-    parties have. An empty unit is not known, and fits all others.
+    Each keyword is the name of a party in errors. A party is a loop, a law, a filter, a rig, a
+    model, :class:`Signals`, ... Periods, channels, names and units are compared if two parties have
+    them. An empty unit is not known, and fits all other units.
     """
     compared = {}
     for whose, party in parties.items():
         for part, (value, words) in _parts(whose, party).items():
             first, first_words = compared.setdefault(part, (value, words))
-            number = isinstance(value, float)  # a period, which may be rounded
+            number = isinstance(value, float)  # a sampling period, which may be rounded
             if not (isclose(value, first, rel_tol=1e-12) if number else value == first):
                 raise ValueError(
                     f"{first_words}, {words}: they must be the same, in the same order"
@@ -150,7 +151,7 @@ def check_match(**parties) -> None:
 
 
 def _parts(whose, party):
-    """What is known of a party, by what is compared: each as a value, and in words."""
+    """Collect what is known of a party, by what is compared, as a value and in words."""
     outputs, learned = getattr(party, "outputs", None), getattr(party, "learned", None)
     labels = _labels_of(party)
     values = {
@@ -180,7 +181,7 @@ def _parts(whose, party):
 
 
 def _labels_of(party):
-    """Of a model or a loop, the outputs', then the inputs'."""
+    """Return the labels of the outputs, and then of the inputs, of a model or a loop."""
     if isinstance(party, Signals):
         return party.labels or []
     outputs = getattr(party, "output_labels", getattr(party, "outputs", None))

@@ -1,22 +1,22 @@
-"""The largest singular value of many matrices, and which of several are the largest."""
+"""The largest singular values of many matrices, and which of several values are largest."""
 
 import numpy as np
 
-TIED = 1e-6  # relative distance at which the accuracy of a solver decides which is the largest
+TIED = 1e-6  # relative distance below which a solver's accuracy decides which value is largest
 
 
 def tied(values):
-    """Which of several values are the largest, as far as rounding leaves it open."""
+    """Mark the values that are largest, or so close to the largest that rounding decides."""
     return values >= values.max(axis=0) * (1 - TIED)
 
 
 def largest_singular_values(G):
-    """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
+    """Compute the largest singular value of each matrix, shape (n, p, m) to (n,)."""
     if min(G.shape[1:]) > 2:
         return np.linalg.norm(G, 2, axis=(1, 2))
-    # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
+    # Below three by three, the Hermitian eigenvalue problem has a closed form: ten times faster.
     G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
-    # A power of two as unit: no square leaves the doubles, and nothing is rounded.
+    # With a power of two as unit, no square leaves the range of doubles, and nothing is rounded.
     _, exponent = np.frexp(np.abs(G).max(axis=(1, 2)))
     unit = np.ldexp(1.0, exponent.clip(-1000, 1000))
     G = G * (1 / unit)[:, None, None]

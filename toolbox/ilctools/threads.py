@@ -1,6 +1,6 @@
-"""One thread for linear algebra: the matrices of a problem are small, and many threads only wait.
+"""Use one thread for linear algebra: matrices here are small, and further threads only wait.
 
-On one thread sums are also taken in one order, so that the digits are those of any other machine.
+On one thread sums are also taken in one order. The digits are then the same on all machines.
 """
 
 from collections.abc import Callable
@@ -12,17 +12,18 @@ from threadpoolctl import ThreadpoolController
 
 from ilctools.progress import watched
 
-pools = cache(ThreadpoolController)  # to look for them takes milliseconds
+pools = cache(ThreadpoolController)  # finding the pools takes milliseconds
 OF_A_THREAD = "openmp"  # the layer of a BLAS whose number of threads each calling thread has
 Function = TypeVar("Function", bound=Callable)  # with its signature, for editors
 
 
 class SharedLimit:
-    """One thread of BLAS for as long as anybody in this process uses it.
+    """A limit of one BLAS thread, for as long as any user in this process holds the limit.
 
-    Most libraries have one number of threads for the whole process. If each user noted the number
-    and set it back, one that begins while another is running would note the limit itself, and leave
-    it behind. So the users are counted: the first one sets the limit, the last one takes it back.
+    Most libraries have one number of threads for the whole process. Suppose that each user noted
+    this number and restored it. A user that begins while another user is running would then note
+    the limit itself, and leave the limit behind. The users are therefore counted: the first user
+    sets the limit, and the last user removes it.
     """
 
     def __init__(self):
@@ -33,7 +34,7 @@ class SharedLimit:
         with self._lock:
             if not self._users:
                 self._limit = pools().limit(limits=1, user_api="blas")
-            self._users += 1  # only now: where something raises above, nothing will exit
+            self._users += 1  # only now: if the line above raises, __exit__ is not called
 
     def __exit__(self, *error):
         with self._lock:
@@ -46,19 +47,20 @@ ONE_THREAD = SharedLimit()
 
 
 def on_one_thread(function: Function) -> Function:
-    """The function, with the threads of BLAS held to one while it runs.
+    """Wrap a function, so that BLAS uses one thread while the function runs.
 
-    It shows that it runs, if it takes long. Calls may overlap in several threads, or call each
-    other: when the last of them has ended or raised, the threads are as many as before the first.
-    Where a thread of the caller's holds a limit of threadpoolctl meanwhile, that limit stays.
+    If the function takes long, a message shows that it is running. Calls may overlap in several
+    threads, or call each other. When the last call has ended or raised, the number of threads is
+    the same as before the first call. If a thread of the caller holds a limit of threadpoolctl
+    meanwhile, this limit stays.
     """
 
     @wraps(function)
     def held(*args, **keywords):
         of_this_thread = pools().select(threading_layer=OF_A_THREAD).limit(limits=1)
-        # The limit of this thread is set first and taken back last. So the shared limit finds and
-        # leaves one thread there, and threadpoolctl, which obeys no other thread until the one that
-        # has set a limit leaves a context, is free again when this one has ended.
+        # The limit of this thread is set first and removed last. The shared limit therefore finds
+        # and leaves one thread there. threadpoolctl obeys no other thread until the thread that has
+        # set a limit leaves its context. When this thread has ended, threadpoolctl is free again.
         with of_this_thread, ONE_THREAD, watched(function.__name__):
             return function(*args, **keywords)
 

@@ -1,4 +1,4 @@
-"""Units are labels, shown and compared as text, and never converted."""
+"""Units of signals: labels that are shown and compared as text, and never converted."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,7 +6,7 @@ from ilctools import arguments
 
 
 def labels(value: Mapping[str, str] | None, signals: Sequence[str]) -> dict[str, str]:
-    """The unit of each of the signals, from a dict of some of them; "" if it is not known."""
+    """Return the unit of each signal, from a dict for some signals; "" if a unit is not known."""
     units = dict.fromkeys(signals, "") | arguments.by_name("units", value, signals)
     for signal, label in units.items():
         arguments.instance(f"units[{signal!r}]", label, str)
@@ -14,10 +14,10 @@ def labels(value: Mapping[str, str] | None, signals: Sequence[str]) -> dict[str,
 
 
 def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
-    """Channels whose signals have the same unit, and so can stand in one sum or picture."""
+    """Group channels by unit: channels of one unit can stand in one sum or figure."""
     return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 
 def with_unit(text: str, unit: str) -> str:
-    """A label with its unit behind it, if there is one."""
+    """Append the unit to a label, if there is a unit."""
     return f"{text} ({unit})" if unit else text

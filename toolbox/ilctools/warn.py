@@ -1,4 +1,4 @@
-"""Warnings for whoever called the toolbox, however deep in it the finding was made."""
+"""Warnings at the line that called the toolbox, however deep inside the finding was made."""
 
 import sys
 import warnings

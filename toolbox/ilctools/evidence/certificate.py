@@ -1,7 +1,7 @@
-"""What is known about a learning filter, by evidence independent of the solver.
+"""The certificate of a learning filter: what is known about it, independent of the solver.
 
-:func:`check` says what a filter does to all plants of a problem, that of its design or another one.
-:func:`certify` adds how far the filter is from the optimum of its design.
+:func:`check` evaluates a filter on all plants of a problem. The problem is the one of its design,
+or another one. :func:`certify` also finds how far the filter is from the optimum of its design.
 """
 
 from dataclasses import dataclass
@@ -34,56 +34,56 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import largest_singular_values
 
-# Relative duality gap, and relative violation of a bound on the grid, that are accepted;
+# Relative duality gap, and relative violation of a bound on the grid, that are accepted
 GAP_ACCEPTED = 1e-6
 VIOLATION_ACCEPTED = 1e-9
-BELOW_ONE = np.nextafter(1, 0)  # one is no longer monotone
-# Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
-# samples, of 1 - sigma_max(M) at the frequencies
+BELOW_ONE = np.nextafter(1, 0)  # trials with a rate of one are not monotone
+# Share of 1 - M_max by which M may exceed its bound between the frequencies without a warning.
+# For samples, the share is taken of 1 - sigma_max(M) at the frequencies.
 ROOM_PASSED = 0.25
 FREQUENCIES_OF_MEAN = 2000  # frequencies of the mean over the band
-# Share of the strongest direction of P, at each frequency up to the cut-off, from which on the
-# weakest may be a difference of two sensors that are nearly the same
+# The weakest direction of P, as a share of the strongest, at frequencies up to the cut-off. Below
+# this share, the weakest may be a difference of two sensors that are nearly the same.
 ALIKE = 3e-3
-IDLE_FROM = 0.9  # share of the error in the band from which on learning counts as idle
+IDLE_FROM = 0.9  # remaining share of the error in the band, above which learning counts as idle
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """What is known about a learning filter, by evidence independent of the solver.
 
-    Printed, it says what a user asks first; :attr:`details` has the numbers behind that.
+    A certificate prints what a user asks first. :attr:`details` has the numbers behind this text.
     """
 
     problem: Problem  # as stated
-    problem_on_grid: Problem  # at all frequencies at which it needed bounds
+    problem_on_grid: Problem  # at all frequencies at which bounds were needed
     scaled_filter: Filter  # in units of scale, as P is
     value: float  # the objective reached
-    worst: WorstCase  # of all plants, within the radius, at each frequency of the grid
-    peaks: dict[str, Peak]  # the highest of sigma_max(M) by how it is known, see peaks_of_M
+    worst: WorstCase  # over all plants and the radius, at each frequency of the grid
+    peaks: dict[str, Peak]  # highest sigma_max(M), by the way it is known, see peaks_of_M
     sigma_L: np.ndarray  # sigma_max(L) at each frequency of the grid
-    lower_bound: float = np.nan  # what no such filter within the bounds can go below
+    lower_bound: float = np.nan  # of the objective, for all such filters within the bounds
 
     @property
     def grid_M(self) -> float:
-        """Peak of sigma_max(M) on the grid, the largest of all plants within the radius."""
+        """The largest sigma_max(M) on the grid, over all plants within the radius."""
         return self.peaks["on the grid"].sigma
 
     def on_grid(self, claim: Claim) -> float:
-        """The largest value on the grid of what a claim is about."""
+        """Return the largest value on the grid of what a claim bounds."""
         if claim.matrix == "M":
             return self.grid_M
         return float(self.sigma_L[claim.holds_at(self.problem_on_grid.omega)].max(initial=0))
 
     def anywhere(self, claim: Claim) -> float:
-        """The largest value at all frequencies of what a claim is about."""
+        """Return the largest value over all frequencies of what a claim bounds."""
         if claim.matrix == "M":
             return self.all_M
         return peak_of_L(self.scaled_filter, claim.lowest)[0] if claim.lowest else self.all_L
 
     @property
     def peak(self) -> Peak:
-        """The highest over all frequencies at which P is known."""
+        """The highest peak over all frequencies at which P is known."""
         return self._highest_without("assumed", BELOW)
 
     def _highest_without(self, *ways):
@@ -91,41 +91,42 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """An upper bound of sigma_max(M), to PEAK_TOLERANCE; an estimate if it is not proven."""
+        """An upper bound on sigma_max(M), to PEAK_TOLERANCE; an estimate if not proven."""
         return self.peak.sigma
 
     @cached_property
     def all_L(self) -> float:
-        """An upper bound of sigma_max(L), to PEAK_TOLERANCE, for all frequencies."""
+        """An upper bound on sigma_max(L) over all frequencies, to PEAK_TOLERANCE."""
         return peak_of_L(self.scaled_filter)[0]
 
     @property
     def proven(self) -> bool:
-        """False if P or Q are samples, or there is a radius: `all_M` is then of a dense grid."""
+        """Whether `all_M` is proven. With samples or a radius, it comes from a dense grid."""
         return "estimated" not in self.peaks
 
     @property
     def highest_peak(self) -> Peak:
-        """The highest of all that is proven, estimated or assumed, whatever the place."""
+        """The highest peak at any frequency, whether proven, estimated or assumed."""
         return self._highest_without()
 
     @property
     def rate(self) -> float:
-        """The largest sigma_max(M): the gamma of Lemma 1."""
+        """The largest sigma_max(M), which is the gamma of Lemma 1."""
         return float(self.highest_peak.sigma)
 
     @property
     def convergence(self) -> Convergence:
-        """Do the trials converge, on the worst of all plants?
+        """Whether and how fast the trials converge on the worst of all plants.
 
-        The spectral radius is that of the plants themselves, at the frequencies and the peaks.
+        The spectral radius is computed for the plants themselves, without their radius. Its
+        frequencies are those of the problem, the peaks and a dense grid.
         """
         problem = self.problem
         peaks, plants = [peak.omega for peak in self.peaks.values()], range(len(problem.plants))
         grids = [dense_grid(problem.response, k, self.scaled_filter) for k in plants]
         omega = np.concatenate([problem.omega, peaks, *grids])
         own = self._at(omega, plants)
-        # what the eigenvalues do not have: what splines may miss, and what is assumed beyond
+        # the eigenvalues do not include what splines may miss, nor what is assumed beyond
         least = {
             "estimated": max(1, own.sigma.max() * (1 + PEAK_TOLERANCE)),
             "assumed": 1,
@@ -144,7 +145,7 @@ class Certificate:
         )
 
     def _at(self, omega, plants):
-        """How trials converge for some plants, by number, at any frequencies."""
+        """The convergence for some plants, given by number, at any frequencies."""
         problem = self.problem
         P = np.array([problem.response.anywhere(k, omega)[0] for k in plants])
         Q, L = (f.frequency_response(omega) for f in (problem.lowpass, self.scaled_filter))
@@ -152,7 +153,10 @@ class Certificate:
 
     @property
     def mean_M(self) -> float:
-        """Of the nominal plant, see :meth:`.Convergence.mean`; NaN without a band."""
+        """Mean of sigma_max(M) for the nominal plant, see :meth:`.Convergence.mean`.
+
+        The mean is NaN without a band.
+        """
         band, omega = self.problem.objective.band, self.problem.omega
         if band is None or band[0] <= 0:
             return np.nan
@@ -167,24 +171,27 @@ class Certificate:
 
     @cached_property
     def predicted(self) -> dict[int, float] | None:
-        """RMS of the error, by trial, see :func:`.predicted_rms`; None without a reference."""
+        """Predicted RMS of the error by trial, see :func:`.predicted_rms`.
+
+        None without a reference.
+        """
         return (
             None if self.problem.objective.band else predicted_rms(self.problem, self.scaled_filter)
         )
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to :meth:`.Problem.gap_scale`."""
+        """Distance from the lower bound to the value, relative to :meth:`.Problem.gap_scale`."""
         return (self.value - self.lower_bound) / self.problem_on_grid.gap_scale(self.value)
 
     @property
     def failures(self) -> list[Finding]:
-        """What does not hold; empty if all does."""
+        """The claims that do not hold; empty if all hold."""
         problem = self.problem
         rooms = {"on the grid": 1 + VIOLATION_ACCEPTED}
         if problem.bounds.everywhere:
             rooms["everywhere"] = 1 + PEAK_TOLERANCE
-        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # by how many limits a value may be
+        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # (times the limit allowed, finding)
         for code, room in rooms.items():
             judged += [(room, self._judged(code, claim)) for claim in problem.bounds.claims]
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
@@ -194,7 +201,7 @@ class Certificate:
         return [found for times, found in judged if found.value > found.limit * times]
 
     def _judged(self, code, claim) -> Finding:
-        """A claim with the value that stands against it, on the grid or everywhere."""
+        """A claim with the largest value of what it bounds, on the grid or everywhere."""
         value = self.on_grid(claim) if code == "on the grid" else self.anywhere(claim)
         place = ""
         if claim.matrix == "M":
@@ -203,7 +210,7 @@ class Certificate:
 
     @property
     def warnings(self) -> list[Finding]:
-        """What speaks against the problem, and against what is said between the samples."""
+        """The findings against the problem, and against the bounds between the samples."""
         problem, response, peak = self.problem, self.problem.response, self.peak
         found = [*problem.findings, *problem.costs, *_alike(problem), *doubts(response)]
         below = self.peaks.get(BELOW)
@@ -219,13 +226,13 @@ class Certificate:
         return found
 
     def place(self, peak):
-        """Where a peak is, and of which plant."""
+        """Say in words where a peak is, and to which plant it belongs."""
         of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
     @cached_property
     def settled_trial(self) -> SettledTrial:
-        """A trial, and its largest norm among the plants; NaN unless P and Q are models."""
+        """A long trial, and its largest norm over the plants; NaN unless P and Q are models."""
         problem = self.problem
         if problem.response.sampled or isinstance(problem.lowpass, SampledQ):
             return SettledTrial(0, np.nan)
@@ -236,19 +243,23 @@ class Certificate:
 
     @property
     def details(self) -> str:
-        """A table of numbers, to the digits that processors share, and what they rest on.
+        """A table of the numbers behind the certificate, and the assumptions.
 
-        The peaks of sigma_max(M) are for all plants within the radius: on the grid, which holds
-        omega and whatever needed bounds beside it; proven at all frequencies, of the plants that
-        are models, without the radius; estimated on a dense grid from the first to the last of
-        omega; assumed below the first sample and above the last one. Nothing is known of
-        resonances that no sample shows.
+        The numbers have as many digits as all processors agree on. The peaks of sigma_max(M) are
+        for all plants within the radius. A peak is one of these:
+
+        - *on the grid*, which contains omega and all other frequencies that needed bounds;
+        - *proven* at all frequencies, for the plants that are models, without the radius;
+        - *estimated* on a dense grid, from the first to the last frequency of omega;
+        - *assumed* below the first sample and above the last one.
+
+        Nothing is known of resonances that no sample shows.
 
         The lower bound of the objective holds for any filter of this structure and order that
-        keeps the bounds on that grid, where they are lower than asked for because of what lies
-        between and above; with `base`, for any K with this B and a gain of `K_MAX` at most;
-        without L_max, up to a gain of `MOST_GAIN` of Q P L, see :mod:`.problem.problem`. It is NaN
-        where nothing was optimised.
+        keeps the bounds on the grid. The limits on the grid are lower than the stated ones, to
+        cover the frequencies between and above. With `base`, the lower bound holds for any K with
+        this B and a gain of at most `K_MAX`. Without L_max, it holds up to a gain of `MOST_GAIN` of
+        Q P L, see :mod:`.problem.problem`. The lower bound is NaN if nothing was optimised.
         """
         return report.details(self)
 
@@ -259,7 +270,7 @@ class Certificate:
 
 
 def _alike(problem):
-    """Whether P passes next to nothing in one direction, against another, up to Q's cut-off."""
+    """Find out if a direction of P is far weaker than another at all omega up to the cut-off."""
     cutoff = problem.lowpass.cutoff
     below = problem.omega <= max(cutoff, problem.omega[0])
     values = np.linalg.svd(problem.P[below], compute_uv=False)
@@ -271,9 +282,9 @@ def _alike(problem):
 def check(
     problem: Problem, L: Filter, grid: Problem | None = None, lower_bound: float = np.nan
 ) -> Certificate:
-    """Find out what a filter, in units of `scale`, does to the plants of a problem.
+    """Evaluate a learning filter, in units of `scale`, on the plants of a problem.
 
-    `grid` is the problem at further frequencies, too.
+    `grid` is the same problem at further frequencies, too. Default: the problem itself.
     """
     grid = grid or problem
     response, worst = L.frequency_response(grid.omega), worst_case(grid, L)
@@ -291,6 +302,6 @@ def check(
 
 
 def certify(problem: Problem, grid: Problem, solution: Solution) -> Certificate:
-    """Find out what is true of a filter; nothing of the solution is trusted."""
+    """Certify the filter of a solution without trusting anything else in the solution."""
     bound = lower_bound(grid, solution.U, solution.V, solution.cuts)
     return check(problem, problem.scaled_filter(solution.coefficients), grid, bound)

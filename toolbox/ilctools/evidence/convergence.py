@@ -1,8 +1,9 @@
 """Do the trials converge, and how fast? Two numbers of M = Q (I - P L), on a grid.
 
-The largest sigma_max(M) is the gamma of Lemma 1: below one the error converges *monotonically*, in
-every trial by that factor at least. The largest spectral radius of M is never larger: below one the
-error *converges*, though it may grow before. Both are about trials without ends.
+The largest sigma_max(M) is the gamma of Lemma 1. If gamma is below one, the error converges
+*monotonically*: each trial reduces it at least by the factor gamma. The largest spectral radius of
+M never exceeds gamma. If the spectral radius is below one, the error *converges*, but it may grow
+in the first trials. Both numbers hold for trials without ends.
 """
 
 from dataclasses import dataclass
@@ -20,20 +21,20 @@ from ilctools.singular_values import largest_singular_values, tied
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """How the trials converge, by M = Q (I - P L). Made by :func:`convergence`.
+    """How fast the trials converge, by M = Q (I - P L). :func:`convergence` makes it.
 
-    For p plants `sigma` has the shape (p, n), and each other result the shape (p,). That of
-    :meth:`.Synthesis.check` is for the worst of all plants, between the frequencies, too.
+    For p plants, `sigma` has the shape (p, n), and each other result has the shape (p,). The result
+    of :meth:`.Synthesis.check` is for the worst of all plants, and also between the frequencies.
     """
 
     omega: np.ndarray  # (n,), rad/s
-    sigma: np.ndarray  # (n,): sigma_max(M), by which the error shrinks there at least
-    rate: float  # the gamma of Lemma 1: the largest of them
-    at: float  # the frequency of the rate, rad/s; the lowest of those that are tied
+    sigma: np.ndarray  # (n,): sigma_max(M), a bound on what one trial leaves of the error there
+    rate: float  # the gamma of Lemma 1: the largest sigma
+    at: float  # the frequency of the rate, rad/s; the lowest if several are tied
     spectral_radius: float  # largest |eigenvalue of M|
     proven: bool = False  # whether the rate holds at all frequencies
-    uncertain: bool = False  # whether P may be another, for which the trials diverge
-    assumptions: tuple[str, ...] = ()  # what P and its radius rest on
+    uncertain: bool = False  # whether the true P may differ, so that the trials diverge
+    assumptions: tuple[str, ...] = ()  # of P and its radius
 
     @property
     def monotone(self) -> bool:
@@ -42,15 +43,16 @@ class Convergence:
 
     @property
     def converges(self) -> bool:
-        """Whether the trials surely converge, if not each of them comes nearer."""
+        """Whether the trials surely converge, although a single trial may increase the error."""
         return self.monotone or (not self.uncertain and bool(np.max(self.spectral_radius) < 1))
 
     def mean(self, band=None) -> float:
         """Mean of sigma_max(M) over the logarithm of frequency, in a band (low, high) in rad/s.
 
-        The sum in (39) on a logarithmic grid, divided by the number of its terms: designs on
-        different grids can be compared. By trapezia, with corners at `omega` and the ends of the
-        band; default: from the first to the last frequency.
+        The mean is the sum in (39) on a logarithmic grid, divided by the number of its terms.
+        Designs on different grids can therefore be compared. The integral uses trapezia with
+        corners at `omega` and at the ends of the band. Default: from the first to the last
+        frequency.
         """
         omega = self.omega
         band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))
@@ -76,37 +78,38 @@ class Convergence:
             f"{how}: sigma_max(M) is {rate:.4f} at most, at {at:.4g} rad/s ({where}), "
             f"|eigenvalue of M| {radius:.4f}"
         )
-        if how == "diverges":  # slowly, where trials are short against it
+        if how == "diverges":  # short trials show this only slowly
             line += ", for trials that are long against the slowest mode"
         return "\n".join([line, *self.assumptions])
 
 
 def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
-    """How fast the error converges from trial to trial: M = Q (I - P L) on a grid.
+    """Find out how fast the error converges from trial to trial: M = Q (I - P L) on a grid.
 
-    With fewer inputs than outputs, how fast v does: M = Q (I - L P).
+    With fewer inputs than outputs, the result is how fast v converges: M = Q (I - L P).
 
     Parameters
     ----------
     P : array_like, shape (n, p, m), a model, a loop, or a list of these
-        As for :func:`ilctools.synthesise`; an array (plants, n, p, m) is several plants, too.
+        As for :func:`ilctools.synthesise`. An array of shape (plants, n, p, m) is also accepted as
+        several plants.
     Q : ZeroPhaseButterworth or array_like, shape (n,)
     L : LearningOperator
         The learning filter.
     omega : array_like, shape (n,), optional
-        Increasing frequencies, rad/s, up to the Nyquist frequency. Default: those that
-        :func:`ilctools.synthesise` would take.
+        Increasing frequencies, rad/s, up to the Nyquist frequency. Default: as in
+        :func:`ilctools.synthesise`.
 
     Returns
     -------
     Convergence
-        `rate`, the gamma of Lemma 1, below one: the error converges monotonically.
-        `spectral_radius` below one: it converges, but may grow before. Of one channel, the two are
-        equal.
+        If `rate`, the gamma of Lemma 1, is below one, the error converges monotonically. If
+        `spectral_radius` is below one, the error converges, but may grow before. For one channel,
+        the two numbers are equal.
 
     See Also
     --------
-    Synthesis.check : of a design, for another plant
+    Synthesis.check : the convergence of a design with another plant
 
     Examples
     --------
@@ -131,7 +134,10 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
 
 
 def from_responses(omega, P, Q, L) -> Convergence:
-    """As :func:`convergence`, of frequency responses P (n, p, m) or (plants, n, p, m), Q and L."""
+    """Do as :func:`convergence`, from frequency responses.
+
+    P has the shape (n, p, m) or (plants, n, p, m).
+    """
     M = convergence_matrix(P, Q, L)
     sigma = largest_singular_values(M.reshape(-1, *M.shape[-2:])).reshape(M.shape[:-2])
     radius = np.abs(np.linalg.eigvals(M)).max(axis=-1)
@@ -145,7 +151,7 @@ def from_responses(omega, P, Q, L) -> Convergence:
 
 
 def log_mean(sigma, omega, band) -> float:
-    """Mean over the logarithm of frequency, in the band, of what is known at `omega`."""
+    """Return the mean over the logarithm of frequency, in the band, of sigma at `omega`."""
     low, high = band
     within = omega[(omega > low) & (omega < high)]
     place = np.log([low, *within, high])

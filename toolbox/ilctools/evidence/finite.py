@@ -1,6 +1,6 @@
-"""Does the finite trial converge? The norm of what one trial of the ILC law really does.
+"""Do finite trials converge? The norm of the map from one trial to the next, with both ends.
 
-Lemma 1 is about signals without end; here the two ends of the trial are included.
+Lemma 1 holds for signals without ends. Here the two ends of a trial are included.
 """
 
 from functools import lru_cache
@@ -17,42 +17,43 @@ from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.norm_optimal import NormOptimal
 from ilctools.signals import check_match
 
-SETTLED = 0.02  # of a disturbance
+SETTLED = 0.02  # share of a disturbance that is left when a plant has settled
 SHORTEST_TRIAL, LONGEST_TRIAL = (50, 1000)  # samples; longer trials of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
-# Rounds of it, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows: it takes
-# no longer. Many directions that grow alike, as those that a long delay leaves alone, need it.
+# Lanczos rounds, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows replaces
+# Lanczos. The SVD takes no longer, and is needed if many directions grow alike. Directions that a
+# long delay leaves alone do so.
 ROUNDS, DENSE = 60, 1000
-MOST_REACHED = 4000  # numbers in v, of which a basis takes 10 s
-RANK_TOLERANCE = 1e-10  # of the largest singular value of Q_N L_N: what is less is rounding
+MOST_REACHED = 4000  # numbers in v, for which a basis takes 10 s
+RANK_TOLERANCE = 1e-10  # of the largest singular value of Q_N L_N: smaller values are rounding
 
 
 def trial_operators(
     P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int
 ) -> tuple[sparse.LinearOperator, sparse.LinearOperator, sparse.LinearOperator]:
-    """P, Q and L as they act on a trial of finite length, each with its adjoint.
+    """Return P, Q and L as operators on a trial of finite length, each with its adjoint.
 
     Parameters
     ----------
     P : control.StateSpace
-        In discrete time, from v (m) to y (p); acts from rest.
+        Model in discrete time, from v (m inputs) to y (p outputs). A trial starts at rest.
     Q, L : ZeroPhaseButterworth, LearningFilter
-        Act as in :class:`ilctools.Law`, with their own `ends`.
+        Filters, which act as in :class:`ilctools.Law`, with their own `ends`.
     samples : int
         Length of the trial.
 
     Returns
     -------
     P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator
-        On signals of shape (samples, m) or (samples, p), raveled: P_N has the shape (samples p,
-        samples m), Q_N (samples m, samples m) and L_N (samples m, samples p). P_N is a lower
-        triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where
-        an end is held, what the matrix would do to the samples beyond it is added to its first or
-        last block column.
+        Operators on raveled signals of shape (samples, m) or (samples, p). P_N has the shape
+        (samples p, samples m), Q_N has (samples m, samples m), and L_N has (samples m, samples p).
+        P_N is a lower triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is
+        "zero". If an end is held, the effect of the samples beyond this end is added to the first
+        or last block column.
 
     See Also
     --------
-    trial_map : what a trial makes of v
+    trial_map : the map that one trial applies to v
 
     Examples
     --------
@@ -73,7 +74,7 @@ def trial_operators(
     samples = arguments.whole("samples", samples, 1)
 
     h = np.moveaxis(impulse_response(P, samples), 0, -1)
-    from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # of P, which looks back
+    from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # P as a filter, looking back
     return (
         _on_trial(from_rest, samples, made=p, taken=m),
         _on_trial(Q, samples, made=m, taken=m),
@@ -84,24 +85,25 @@ def trial_operators(
 def trial_map(
     P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int = 0
 ) -> sparse.LinearOperator:
-    """T = Q_N (I - L_N P_N): what a trial of the law makes of v_k - v_inf, with its two ends.
+    """Return T = Q_N (I - L_N P_N), the map from v_k - v_inf to v_{k+1} - v_inf in a finite trial.
 
     P_N, Q_N, L_N are matrices on a trial of N samples ("lifted"): D. A. Bristow, M. Tharayil and
     A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (2006).
 
-    v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly; with a learning
-    gain a, (1 - a) I + a T; without limits. Parameters as for :func:`trial_operators`; in the last
-    `rest` samples of each trial, v is held at zero.
+    Without limits, v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf) hold
+    exactly. With a learning gain a, the map is (1 - a) I + a T. The parameters are as for
+    :func:`trial_operators`. In the last `rest` samples of each trial, v is held at zero.
 
-    The error alone has no such map. P_N maps the last sample of v to zero (P has a delay), and
-    maps the exponentials z^p of its zeros z outside the unit circle, which live at the end of
-    the trial, to next to nothing; Q_N then moves them to where they show. So M = P Q (P^-1 - L)
-    of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
+    No map exists for the error alone. P has a delay, so that P_N maps the last sample of v to
+    zero. A zero z of P outside the unit circle gives an exponential z^p, which lives at the end of
+    the trial. P_N maps this exponential to next to nothing, and Q_N then moves it to where it
+    shows. M = P Q (P^-1 - L) of (35) therefore does not hold for a finite trial, and
+    Q_N (I - P_N L_N) is not the operator of any trial.
 
     See Also
     --------
-    trial_norm : its largest gain
-    trial_operators : what it is made of
+    trial_norm : the largest gain of the map
+    trial_operators : the factors of the map
 
     Examples
     --------
@@ -122,30 +124,30 @@ def trial_map(
 def trial_norm(
     P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int, trials: int = 1, rest: int = 0
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """2-norm of the trial-to-trial map of the ILC signal on a finite trial.
+    """Return the 2-norm of the map of the ILC signal from one finite trial to the next.
 
     Parameters
     ----------
     P, Q, L, samples, rest :
         As for :func:`trial_map`.
     trials : int
-        Number of trials in a row: the norm of T^trials.
+        Number of trials in a row. The norm is that of T^trials.
 
     Returns
     -------
     norm : float
-        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||; with more inputs than outputs, among
-        those that Q L makes of errors, see :func:`learned_basis`. Below one for trials = 1, v
-        converges monotonically. Lanczos approaches it from below, or a RuntimeError says that it
-        does not converge; short trials have an SVD, and those of up to 1000 values where Lanczos
-        needs long.
+        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. With more inputs than outputs, only the
+        v count that Q L makes of errors, see :func:`learned_basis`. If the norm is below one for
+        trials = 1, v converges monotonically. Lanczos iteration approaches the norm from below. A
+        RuntimeError says if the iteration does not converge. Short trials use an SVD instead.
+        Trials of up to 1000 values use an SVD if the iteration takes long.
     before, after : ndarray, shape (samples, m)
-        The unit v_k - v_inf that is amplified most, and what becomes of it.
+        The v_k - v_inf of norm one that is amplified most, and v_{k+trials} - v_inf after it.
 
     See Also
     --------
     trial_map : the map itself
-    convergence : the same of trials without ends
+    convergence : the same for trials without ends
 
     Examples
     --------
@@ -169,11 +171,11 @@ def trial_norm(
 
 @lru_cache(maxsize=4)
 def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.ndarray:
-    """Orthonormal columns that span what Q_N L_N makes of errors.
+    """Return orthonormal columns that span what Q_N L_N makes of errors.
 
-    With more inputs than outputs, or where errors at points alone count, most v move none of them.
-    Such a v shrinks by Q_N alone, so that the norm of T among all v is one. From v = 0 the law
-    makes next to nothing of such v.
+    With more inputs than outputs, or if only errors at points count, most v do not change any
+    counted error. Such a v shrinks by Q_N alone. The norm of T over all v is then one. From v = 0,
+    the law makes next to nothing of these v.
     """
     size = samples * L.rows
     if size > MOST_REACHED:
@@ -190,7 +192,7 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
-    """The largest singular value of an operator, and its vectors, before and after."""
+    """The largest singular value of an operator, and its vectors before and after."""
     size = T.shape[1]
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
@@ -209,16 +211,18 @@ def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 class SettledTrial(NamedTuple):
-    """A trial that is long enough to show what v does."""
+    """A trial that is long enough to show the effect of v, and its norm."""
 
-    samples: int  # none, if the plants or Q are no models
+    samples: int  # zero if the plants or Q are no models
     norm: float  # the largest 2-norm of :func:`trial_map` among the plants
 
 
 def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
-    """A trial ten times as long as plants settle and twice as long as they delay, within limits.
+    """Return the length and the norm of a trial that is long compared with the plants.
 
-    Its norm is found by one iteration for all plants where there are several.
+    The trial is ten times as long as the slowest plant needs to settle, and at least twice as long
+    as the largest delay. `SHORTEST_TRIAL` samples are added, and `LONGEST_TRIAL` limits the length.
+    With several plants, one iteration finds the largest norm among the plants.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
@@ -232,13 +236,13 @@ def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
 
 
 def _delay(P):
-    """Samples after which a model answers at the latest, in each of its entries that answers."""
+    """The largest delay in samples among the entries of a model that answer at all."""
     answers = impulse_response(P, LONGEST_TRIAL) != 0
     return answers.argmax(axis=0).max()
 
 
 def _on_trial(f, samples, made, taken):
-    """A filter as a linear operator from raveled signals (samples, taken) to (samples, made)."""
+    """A filter as linear operator from raveled signals (samples, taken) to (samples, made)."""
 
     def raveled(apply, channels):
         def on_columns(X):

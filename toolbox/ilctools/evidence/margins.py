@@ -1,28 +1,28 @@
 """By how much may the plant change before monotone convergence is lost? Four margins.
 
-The plants P of a problem are replaced, at each frequency omega, by one of
+At each frequency omega, every plant P of a problem is replaced by one of the following:
 
     g P(omega),    exp(-j omega d Ts) P(omega),    P(a omega),    P(omega) + Delta, ||Delta|| <= r,
 
-a gain g, a delay of d more samples, a plant whose time scale is a times as long, anything within a
-radius r. The margins say up to which g, d, a, r the largest sigma_max(Q (I - P L)) stays below one
-at all frequencies, for all plants, and everywhere within the radius of the problem, which moves
-with them.
+The gain changes by the factor g, the delay grows by d samples, the time scale is a times as long,
+or P has any error within a radius r. The margins are the limits on g, d, a and r up to which the
+largest sigma_max(Q (I - P L)) stays below one, at all frequencies and for all plants. The limits
+also hold everywhere within the radius of the problem, which changes together with the plants.
 
-M can have a narrow crest wherever P or L changes within a narrow band: at a mode of P, which is a
-pole of P, and at an antiresonance of P, where L = B K has poles. Q and L are therefore computed on
-a grid that is dense in the phase of their poles, and each plant on a grid that is dense in the
-phase of its own poles. Q and L are splined between. M is computed at the tops of its crests, too,
-which are where the parabolas through their three highest points have them. The poles of a table are
-not known, and its samples decide: a mode that is narrower than a step of omega is not seen. Above
-the last sample a table counts as it does in the certificate. The margin of the time scale leaves
-out what would come from there.
+M can have a narrow crest wherever P or L changes within a narrow band. P does so at a mode, which
+is a pole of P. L = B K does so at an antiresonance of P, where L has poles. Q and L are therefore
+computed on a grid that is dense in the phase of their poles. Each plant is computed on a grid that
+is dense in the phase of its own poles. Splines give Q and L between their frequencies. M is also
+computed at the tops of its crests, where the parabola through the three highest points has its top.
+The poles of a table are not known. A mode of a table that is narrower than a step of omega is
+therefore not seen. Above its last sample, a table counts as in the certificate. The margin of the
+time scale leaves out the frequencies that would use a table above its last sample.
 
-The search goes outwards in steps to the first that fails, and then by Brent's method. It ends with
-ten times the gain, eight times the time, a turn of the phase. In g and r sigma_max is convex, so
-that there is one limit; a limit below g = 1 exists only if Q is above one somewhere. Phase margins
-of ``control.stability_margins`` are those of a feedback loop, which v = Q (v + L e) is from trial
-to trial only.
+The search goes outwards in steps to the first step that fails. Brent's method then finds the limit.
+The search ends at ten times the gain, eight times the time scale, or a full turn of the phase. In g
+and r, sigma_max is convex, so that there is one limit. A limit below g = 1 exists only if Q is
+above one somewhere. Phase margins of ``control.stability_margins`` belong to a feedback loop. The
+law v = Q (v + L e) is a feedback loop only from trial to trial.
 """
 
 from dataclasses import dataclass
@@ -42,25 +42,25 @@ from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
 from ilctools.response.samples import SAME_FREQUENCY
 
-GAINS = np.array([1.0, 10.0])  # the last is where the search ends, as of the following ones
+GAINS = np.array([1.0, 10.0])  # the search ends at the last value, here and in the following arrays
 # time scales: the first steps are as small as a lightly damped antiresonance asks for
 TIMES = 1 + np.append(0, np.geomspace(1e-3, 7, 23))
 RADII = np.array([0.0, 10.0])  # of sigma_max(P) at the cut-off
-TURN = np.linspace(0, 2 * np.pi, 33)  # of the phase at the cut-off, by a delay
-PHASE_STEP = np.pi / 20  # of the phase of poles, from one frequency to the next
-MOST_FOR_L = 8000  # frequencies for the poles of L: fewer than a filter of thousands of samples has
+TURN = np.linspace(0, 2 * np.pi, 33)  # rad, phase at the cut-off that a delay adds
+PHASE_STEP = np.pi / 20  # of phi, rad, from one frequency to the next
+MOST_FOR_L = 8000  # frequencies for the poles of L; thousands of samples in L would need more
 PARTS = 4  # frequencies for each sample of a table, which splines miss most halfway
-LEVEL = 0.98  # of crests whose tops are looked for; from 0.99 of it on a worst case is exact
-ONE = 1 + 1e-9  # what rounding makes of one
+LEVEL = 0.98  # of crests whose tops are computed; a worst case above 0.99 of it is exact
+ONE = 1 + 1e-9  # one, with room for rounding
 TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)
-LIMIT_TOLERANCE = 1e-4  # relative, of a limit: it is printed with two digits
+LIMIT_TOLERANCE = 1e-4  # relative, of a limit, which is printed with two digits
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Up to where trials converge monotonically if one thing changes at a time."""
+    """The limits of monotone convergence if one property of the plant changes at a time."""
 
-    gain: tuple[float, float]  # of P, times that of the design: down, up
+    gain: tuple[float, float]  # factor on the gain of P: lowest, highest
     delay: tuple[float, float]  # samples less, samples more
     time: tuple[float, float]  # how many times faster, how many times slower
     radius: float  # of any other Delta, in units of sigma_max(P) at the cut-off of Q
@@ -82,13 +82,13 @@ def _percent(distance):
 
 
 def inwards(distance: float) -> float:
-    """A distance rounded towards zero, to two digits."""
-    # 100 * 0.29 is less than 29 by rounding
+    """Round a distance towards zero, to two digits."""
+    # by rounding, 100 * 0.29 is less than 29
     return float(TWO_DIGITS.create_decimal_from_float(max(distance, 0.0) * (1 + 1e-12)))
 
 
 def margins(problem: Problem, L) -> Margins:
-    """The margins of a filter, in units of `scale`, for all plants of a problem at once."""
+    """Compute the margins of a filter, in units of `scale`, for all plants of a problem at once."""
     response, cutoff = problem.response, problem.lowpass.cutoff
     filters = _filters(problem, L)
     plants = [Perturbed(response, number, filters) for number in range(len(response.models))]
@@ -104,14 +104,17 @@ def margins(problem: Problem, L) -> Margins:
 
 
 def limit(plants, what: str, steps) -> float:
-    """How far from the first of some steps all peaks stay below one; the last if there, too."""
-    for plant in plants:  # of a further one only up to the limit of those before
+    """Return the value up to which all peaks stay below one, from the first step outwards.
+
+    If the peaks also stay below one at the last step, the last step is returned.
+    """
+    for plant in plants:  # each further plant is searched up to the limit so far
         steps = _up_to_root(lambda value, plant=plant: plant.peak(**{what: value}) - ONE, steps)
     return float(steps[-1])
 
 
 def _up_to_root(excess, steps):
-    """The steps at which an excess is below zero, and its root between them and the next one."""
+    """The first steps with an excess below zero, then its root before the step that fails."""
     outside = next((k for k, step in enumerate(steps) if excess(step) >= 0), None)
     if not outside:
         return steps if outside is None else steps[:1]
@@ -121,7 +124,7 @@ def _up_to_root(excess, steps):
 
 
 class Filters(NamedTuple):
-    """Q and L at frequencies between which splines hold."""
+    """Q and L as splines through their values at frequencies."""
 
     omega: np.ndarray
     Q: CubicSpline
@@ -129,7 +132,7 @@ class Filters(NamedTuple):
 
 
 def _filters(problem, L) -> Filters:
-    """Those of a problem, from rest or the first sample up to Nyquist's frequency."""
+    """Q and L of a problem, from rest or the first sample up to the Nyquist frequency."""
     lowpass, poles = problem.lowpass, [L.poles]
     if isinstance(lowpass, ZeroPhaseButterworth):
         poles.append(lowpass.poles)
@@ -137,13 +140,13 @@ def _filters(problem, L) -> Filters:
     omega = phase_grid(poles, max(PHASE_STEP, turn / MOST_FOR_L)) / problem.Ts
     ends = _ends(problem.response)[0], np.pi / problem.Ts
     omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
-    # of two that are nearly the same one: between them, a slope would be rounding
+    # keep one of two frequencies that are nearly the same, as a slope between would be rounding
     omega = omega[np.append(True, np.diff(omega) > SAME_FREQUENCY * omega[1:])]
     return Filters(omega, *(CubicSpline(omega, f.frequency_response(omega)) for f in (lowpass, L)))
 
 
 class Perturbed:
-    """A plant with something changed, behind filters."""
+    """A plant whose gain, delay, time scale or radius changes, with its filters Q and L."""
 
     def __init__(self, response: Response, number: int, filters: Filters):
         self.response, self.number, self.filters = response, number, filters
@@ -152,12 +155,12 @@ class Perturbed:
             own = subdivided(response.omega, PARTS)
         else:
             own = phase_grid([model.poles()], PHASE_STEP) / response.Ts
-        # where a radius begins and ends, and where what is assumed above a table begins
+        # the ends of a radius, and the frequency above which P of a table is assumed
         ends = first, last, np.nextafter(last, np.inf)
         self.omega = np.union1d(own, ends)
 
     def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
-        """Of sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""
+        """Return max sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""
         grid, known = self._as_it_is if slower == 1 else self._slower(slower)
 
         def sigma_M(omega):
@@ -171,11 +174,11 @@ class Perturbed:
 
     @cached_property
     def _as_it_is(self):
-        """The grid of the plant at its own speed; most changes leave that as it is."""
+        """The grid for the plant's own time scale, which most changes leave as it is."""
         return self._slower(1.0)
 
     def _slower(self, slower):
-        """Frequencies at which P(a omega) is looked at, and P and its radius there."""
+        """The frequencies at which P(a omega) is evaluated, and P and its radius there."""
         first, *_, nyquist = self.filters.omega
         omega = np.union1d(self.filters.omega, self.omega / slower)
         known = (slower * omega <= _ends(self.response)[1]) | (slower == 1)
@@ -183,12 +186,12 @@ class Perturbed:
         return omega, self._at(slower * omega)
 
     def _at(self, omega):
-        """P and its radius at any frequencies, at the ends of what is known beyond them."""
+        """P and its radius at any frequencies; beyond the known range, as at its ends."""
         there = np.clip(omega, _ends(self.response)[0], self.filters.omega[-1])
         return self.response.anywhere(self.number, there)
 
 
 def _ends(response):
-    """Between which frequencies P is known, rad/s; without end also where Nyquist's is the last."""
+    """The range in which P is known, rad/s; no upper end for a table up to Nyquist's frequency."""
     first = response.omega[0] if response.sampled else 0.0
     return first, np.inf if response.beyond is None else response.omega[-1]

@@ -1,6 +1,6 @@
 """Is the filter optimal? A bound on the objective that no other filter can beat.
 
-It follows from the solver's multipliers, whatever their quality, by linear algebra alone.
+The bound follows from the solver's multipliers by linear algebra alone, whatever their quality.
 """
 
 import numpy as np
@@ -9,27 +9,35 @@ from scipy.special import expit
 from ilctools.evidence.robustness import MOST_UNEQUAL
 from ilctools.problem.problem import Cuts, Problem
 
-HALVINGS = 40  # of the distance of such logarithms
-FAINT = 1e-12  # least eigenvalue of X, relative
+HALVINGS = 40  # of the interval of logarithms of w_1 / w_2 that is searched
+FAINT = 1e-12  # least eigenvalue of X, relative to the size of N
 
 
 def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
-    """Lower bound on the optimum of (39) or (45), from multipliers and linear algebra alone.
+    """Compute a lower bound on the optimum of (39) or (45), from multipliers and linear algebra.
 
-    For all filters that meet the bounds, and all U_i, V_i, N_c with sum_i Re tr(U_i^H dM_i) +
-    Re tr(V_i^H dL_i) + sum_c Re tr(N_c^H dG_c) = 0 for every change of the coefficients,
+    Take multipliers U_i, V_i, N_c for which every change of the coefficients has
+
+        sum_i Re tr(U_i^H dM_i) + Re tr(V_i^H dL_i) + sum_c Re tr(N_c^H dG_c) = 0.
+
+    Then all filters that meet the bounds have
 
         sum_i Re tr(U_i^H Q_i) + sum_c Re tr(N_c^H F_c)
             = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
             <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
 
-    with nuclear norms |.|, W of :attr:`.Problem.L_bound`, the matrices G = F + T L
-    of :class:`.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where
-    |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
-    and so are the b_c. For the peak, they are no larger than the objective itself.
-    The multipliers are first projected on those that fulfil the condition, so the bound holds, up
-    to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
-    the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
+    where |.| are nuclear norms and W is :attr:`.Problem.L_bound`. The matrices G = F + T L belong
+    to :class:`.Cuts`, and b_c are their bounds. The norm nu, see :func:`dual_norm`, is dual to the
+    norm that b_c bounds.
+
+    For the sum, |U_i| may exceed the weight of sigma_max(M_i) in the objective. The excess is then
+    bounded with M_max, and so are the b_c. For the peak, sigma_max(M_i) and b_c are no larger than
+    the objective itself.
+
+    The multipliers are first projected on the space of all multipliers that fulfil the condition.
+    The bound therefore holds up to rounding, whatever multipliers were passed. A coefficient of
+    L_jk acts on column k of M, L and G only. The columns are therefore projected one by one.
+    If V is None, the bound on L is not used. If `cuts` is None, no cuts are used.
     """
     parts = _parts(problem, U, V, cuts)
     U, *others = multipliers = _projected(problem, parts)
@@ -49,7 +57,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
 
 
 def _parts(problem, U, V, cuts):
-    """F, T and N of each G = F + T L, T for what K makes, and the frequencies, by number."""
+    """F, T and N of each G = F + T L, with T as K acts on it, and the frequency numbers."""
     every = np.arange(len(problem.omega))
     F, T = problem.affine(0, every, None)
     parts = [(F, T, U, every)]
@@ -64,17 +72,17 @@ def _parts(problem, U, V, cuts):
 
 
 def _projected(problem, parts):
-    """Multipliers N of parts (F, T, N, at), projected on those that no change of L changes."""
+    """The multipliers N of parts (F, T, N, at), made orthogonal to all changes of L."""
     m, shapes = problem.channels, [T.shape for _, T, _, _ in parts]
     T = np.concatenate([T.reshape(-1, m) for _, T, _, _ in parts])
     N = np.concatenate([N.reshape(-1, m) for _, _, N, _ in parts], dtype=complex)
     at = np.concatenate([np.repeat(at, T.shape[1]) for _, T, _, at in parts])
-    # What the coefficients of a column of L can change: all of its rows, or the diagonal one.
+    # The coefficients of a column of L act on all of its rows, or on the diagonal entry only.
     columns = [range(m)] if problem.structure == "full" else [[k] for k in range(m)]
     for column in columns:
         changes = _changes(T[:, column], problem.response.angles[at], problem.order)
         rows = _rows(N[:, column])
-        for _ in range(2):  # once leaves what rounding has put back
+        for _ in range(2):  # a second pass removes what rounding has put back
             rows -= (rows @ changes.T) @ changes
         N[:, column] = rows.view(complex).T
     ends = np.cumsum([np.prod(shape[:2]) for shape in shapes])
@@ -89,20 +97,20 @@ def _nuclear_norms(N):
 
 
 def dual_norm(N) -> np.ndarray:
-    """Upper bounds of nu(N), shape (c,): the largest Re tr(N^H G) with all G bounded by one.
+    """Return upper bounds on nu(N), shape (c,): the largest Re tr(N^H G) over all G bounded by one.
 
-    Without a radius nu is the nuclear norm. With one, G = [G_1; G_2] is bounded by one if shares
-    d_1 + d_2 = 1 exist with sum G_k^H G_k / d_k <= I. So for all X > 0, and
+    Without a radius, nu is the nuclear norm. With a radius, G = [G_1; G_2] is bounded by one if
+    shares d_1 + d_2 = 1 exist with sum G_k^H G_k / d_k <= I. Then, for all X > 0 and
     c_k = tr(N_k X^-1 N_k^H),
 
         Re tr(N^H G) <= sum_k sqrt(c_k tr(G_k X G_k^H))
                      <= sqrt(sum_k c_k d_k) sqrt(sum_k tr(G_k X G_k^H) / d_k)
                      <= sqrt(max c_k) sqrt(tr X),
 
-    by Cauchy and Schwarz, twice. The least of these bounds is the largest nuclear norm of N with
-    its two parts weighted by square roots of w_1 + w_2 = 1, and belongs to
-    X = (sum_k w_k N_k^H N_k)^(1/2): tr X is concave in w_1, with the slope (c_1 - c_2) / 2.
-    Any w gives a bound that holds.
+    by Cauchy and Schwarz, twice. Weight the two parts of N by the square roots of shares w_1 and
+    w_2 with w_1 + w_2 = 1. The least of these bounds is the largest nuclear norm of the weighted N
+    over all shares. The bound belongs to X = (sum_k w_k N_k^H N_k)^(1/2), whose trace is concave in
+    w_1, with the slope (c_1 - c_2) / 2. Any w gives a valid bound.
     """
     count, rows, m = N.shape
     if rows == m:
@@ -119,7 +127,7 @@ def dual_norm(N) -> np.ndarray:
 
 
 def _costs(N, t):
-    """c_1 and c_2, and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
+    """c_1, c_2 and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
     weights = expit(np.stack([t, -t]).T)
     floor = np.zeros_like(N[:, :1]) + FAINT * np.eye(N.shape[-1])
     parts = [np.sqrt(weights)[..., None, None] * N, floor]
@@ -131,10 +139,10 @@ def _costs(N, t):
 
 
 def _changes(T, angles, order):
-    """Orthonormal rows that span what the coefficients can do to T L, from the rows of T."""
-    # The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them:
-    # it multiplies the last rows by z - 1 and makes the result orthogonal to all before, which
-    # spans the same space and needs no more than doubles.
+    """Orthonormal rows that span all changes of T L by the coefficients, from the rows of T."""
+    # The powers of z are nearly dependent at low frequencies. Arnoldi's process does not form them.
+    # It multiplies the last rows by z - 1 and makes the result orthogonal to all rows before. These
+    # rows span the same space, and doubles are accurate enough for them.
     rows = _rows(T * np.exp(1j * angles)[:, None])
     step = np.expm1(1j * angles)
     basis = np.empty((0, rows.shape[1]))
@@ -147,5 +155,5 @@ def _changes(T, angles, order):
 
 
 def _rows(X):
-    """Each column of X as one real row, real and imaginary parts in turn."""
+    """Each column of X as one real row, in which real and imaginary parts alternate."""
     return np.ascontiguousarray(X.T, dtype=complex).view(float)

@@ -1,45 +1,52 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
-From samples, and within a radius, it is that of a dense grid and of the tops of its crests, by the
-parabolas through three points. For a model it has a proof: what can happen between two frequencies
-is bounded by poles. Let a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth
-filter H if there is Q = |H|^2, which is real; and let
+If P is known by samples, or within a radius, the peak is the largest value on a dense grid and at
+the tops of the crests on the grid. A parabola through three points gives the top of a crest.
+
+For a model the peak has a proof, because the poles bound what can happen between two frequencies.
+Let a_1 ... a_n be the eigenvalues of A. If there is a real Q = |H|^2 with a Butterworth filter H,
+the poles of H are included. Let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
-the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). It increases. Let g be the
-peak of Q sigma_max, with Q = 1 if there is none, and theta* = omega* Ts where it is attained. Then
+the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). This phase increases. Let g
+be the peak of Q sigma_max, with Q = 1 if there is no Q. Let theta* = omega* Ts be the angle at
+which the peak is attained. Then
 
     Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
 
 *Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let T(theta) = Q Re u* G v / g.
-Then |T| <= Q sigma_max / g <= 1 everywhere and T(theta*) = 1. Q and Re u* G v are trigonometric
-polynomials over the |exp(j theta) - a_j|^2 of their poles, so that T is one of degree n or less
-over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is S(theta) = cos(phi(theta) - phi(theta*))
-= Re(B(exp(j theta)) / B(exp(j theta*))), and hence D = S - T, which has no more than 2n zeros in a
-period unless it is zero throughout. S runs through +1 and -1 in turn at theta* = t_0 < t_1 < ... <
-t_2n = t_0 + 2 pi. Because |T| <= 1, D is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, ..., so each
-of the 2n - 2 intervals [t_1, t_2] ... [t_2n-2, t_2n-1] holds a zero. If it is at an end, T = +1 or
--1 is stationary there, as S is; the zero is double and counts once for each of the two intervals it
-belongs to. So is the zero at t_0. These are 2n. If T < S at some place in (t_0, t_1), D > 0 there
-and D(t_1) <= 0, which makes one more zero in (t_0, t_1]: contradiction. The other side is the
-mirror image. (This is the inequality of Bernstein and Szego for rational functions; see Borwein and
-Erdelyi, Mathematika 43 (1996) 413-423. For a finite impulse response of length n + 1, phi = n theta
-and it is Riesz's lemma of 1914.)
+Then |T| <= Q sigma_max / g <= 1 everywhere, and T(theta*) = 1. Let
+W(theta) = prod_j |exp(j theta) - a_j|^2. Q and Re u* G v are trigonometric polynomials over the
+factors |exp(j theta) - a_j|^2 of their poles. T is therefore a trigonometric polynomial of degree n
+or less over W. S(theta) = cos(phi(theta) - phi(theta*)) = Re(B(exp(j theta)) / B(exp(j theta*)))
+has the same form, and so has D = S - T. D has no more than 2n zeros in a period, unless D is zero
+throughout. S takes the values +1 and -1 in turn at theta* = t_0 < t_1 < ... < t_2n = t_0 + 2 pi.
+Because |T| <= 1, D is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, .... Each of the 2n - 2 intervals
+[t_1, t_2] ... [t_2n-2, t_2n-1] therefore contains a zero of D. If the zero is at an end of an
+interval, T = +1 or -1 is stationary there, as S is. The zero is then double, and counts once for
+each of its two intervals. The zero at t_0 is double, too. Together these are 2n zeros. Now suppose
+that T < S at some place in (t_0, t_1). Then D > 0 there and D(t_1) <= 0, which makes one more zero
+in (t_0, t_1]: a contradiction. The other side is the mirror image. (The theorem is the inequality
+of Bernstein and Szego for rational functions; see Borwein and Erdelyi, Mathematika 43 (1996)
+413-423. For a finite impulse response of length n + 1, phi = n theta, and the theorem is Riesz's
+lemma of 1914.)
 
-So between two frequencies, phi(b) - phi(a) = h < pi, of which one is no farther than h / 2 from
-theta*, the peak is max(sigma(a), sigma(b)) / cos(h / 2) at most: a grid proves it. Real systems
-have the same singular values at negative frequencies, so that [0, pi / Ts] is enough.
+Let a and b be two neighbouring frequencies with phi(b) - phi(a) = h < pi. If theta* lies between
+them, a or b is no farther than h / 2 from theta*. The peak is then at most
+max(sigma(a), sigma(b)) / cos(h / 2), so that a grid proves a bound. Real systems have the same
+singular values at negative frequencies, so that [0, pi / Ts] is enough.
 
-With L = B K of :mod:`ilctools.base` there is no model: B has poles mirrored at the circle, too. On
-the circle each is a trigonometric polynomial over |exp(j theta) - a|^2 of a pole a inside, and K,
-which looks k samples ahead or back at most, one of degree k, as of k poles at zero. Of a product
-the degrees add, and so do the phases.
+With L = B K of :mod:`ilctools.base` there is no model, as B also has poles mirrored at the circle.
+On the circle, each factor of B is a trigonometric polynomial over |exp(j theta) - a|^2, with a pole
+a inside the circle. K looks at most k samples ahead or back. K is therefore a trigonometric
+polynomial of degree k, and counts as k poles at zero. In a product the degrees add, and so do the
+phases.
 
-Values are those of a Schur form of A, whose diagonal holds the poles that the bound uses: the proof
-is exact for a system whose matrices differ from the given ones by rounding. What rounding may add
-to a peak is no part of it: some 1e-16 over the distance of a pole to the circle, 1e-9 for the
-paper's M.
+The values are computed from a Schur form of A, whose diagonal holds the poles that the bound uses.
+The proof is exact for a system whose matrices differ from the given ones by rounding. The proof
+does not include what rounding may add to a peak. This is some 1e-16 over the distance of a pole to
+the circle, or 1e-9 for the paper's M.
 """
 
 from dataclasses import dataclass, replace
@@ -61,21 +68,21 @@ from ilctools.singular_values import TIED, largest_singular_values
 
 FINE_PHASE_STEP = 0.01  # in phi, of a grid to read a peak from: crests between are 1e-5 higher
 FIRST_PHASE_STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
-# where the peak may be higher than all values so far, each step is divided, and again: h is then
-# 0.002, and the bound 5e-7 above the peak
+# where the peak may be higher than all values so far, each step is divided, and then once more. h
+# is then 0.002, and the bound is 5e-7 above the peak
 PARTS, PASSES_OF_A_PROOF = 16, 3
-MOST_IN_A_PASS = 300_000  # frequencies: fewer passes for a flat base of thousands of samples
-PEAK_TOLERANCE = 1e-6  # relative, by how much such a bound may be above the peak
+MOST_IN_A_PASS = 300_000  # frequencies: a flat base of thousands of samples has fewer passes
+PEAK_TOLERANCE = 1e-6  # relative, by how much a proven bound may exceed the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 DEAF, PASSES_NOTHING = "where P passes nothing", 1e-3  # of P L
 BELOW = "assumed below the first sample"
 
 
 def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
-    """Peak of sigma_max(L) over all frequencies from the lowest on, and where it is.
+    """Find the peak of sigma_max(L) over all frequencies from `lowest` on, and its frequency.
 
-    Proven over all frequencies. From another lowest one on, it is the largest value on a grid with
-    steps of `FINE_PHASE_STEP` in the phase of L, and at the tops of its crests.
+    If `lowest` is zero, the peak is proven. Otherwise the peak is the largest value on a grid with
+    steps of `FINE_PHASE_STEP` in the phase of L, and at the tops of the crests.
     """
 
     def sigma(omega):
@@ -90,7 +97,7 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
 
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
-    """Peak over all frequencies of sigma_max(M), and where it is."""
+    """Find the peak of sigma_max(M) over all frequencies, and its frequency."""
 
     def sigma(omega):
         of_P = in_parts(partial(frequency_response, P), omega, P.B.size)
@@ -105,7 +112,7 @@ def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float
 
 
 def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
-    """Peak over all frequencies of a sigma with these poles, an upper bound; where it is, rad/s."""
+    """Find the peak of a sigma with these poles, as an upper bound, and its frequency, rad/s."""
     arguments.stable("system", poles)
     theta, peak, place = phase_grid([poles], FIRST_PHASE_STEP)[None], 0.0, 0.0
     for _ in range(PASSES_OF_A_PROOF):
@@ -123,7 +130,7 @@ def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
 
 
 def in_parts(function, points, size):
-    """Its values at the points: so many at a time as memory admits, `size` numbers for each."""
+    """Evaluate a function in parts that fit into memory, if a point takes `size` numbers."""
     parts = np.array_split(points, 1 + len(points) * size // CHUNK)
     return np.concatenate([function(part) for part in parts])
 
@@ -132,19 +139,22 @@ def in_parts(function, points, size):
 class Peak:
     """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
 
-    sigma: float  # an upper bound, to PEAK_TOLERANCE, if proven
+    sigma: float  # if proven, an upper bound to PEAK_TOLERANCE
     omega: float  # where it is, rad/s
-    plant: int  # whose it is; of those that are tied, the first
+    plant: int  # the number of its plant; the first if several are tied
 
 
 def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
-    """The highest peaks by how they are known: "proven", "estimated" and "assumed", if there are.
+    """Find the highest peaks of sigma_max(M), by the way in which they are known.
 
-    Proven is that of the plants that are models, without the radius, if Q is one, too; where P
-    passes nothing M is |Q| for any L, and that peak is named `DEAF` instead. Else it is
-    estimated between the frequencies, and assumed above P's last and, named `BELOW`, below P's
-    first: on a dense grid and, near the level or above, at the tops of its crests; where it is
-    lower, only bounded.
+    The keys are "proven", `DEAF`, "estimated", `BELOW` and "assumed"; a key without peaks is left
+    out. A peak is "proven" for plants that are models, without the radius, if Q is a filter. Where
+    P passes nothing, M is |Q| for any L. The key of a proven peak at such a frequency is `DEAF`.
+
+    If P or Q are samples, or with a radius, a peak is "estimated" between the frequencies of P. A
+    peak is "assumed" above the last frequency of P. Below the first one, its key is `BELOW`. These
+    peaks come from a dense grid. Crests near `level` or above are also evaluated at their tops.
+    Lower peaks are only bounded.
     """
     peaks = {"proven": [], DEAF: [], "estimated": [], BELOW: [], "assumed": []}
     for k, model in enumerate(problem.response.models):
@@ -159,7 +169,7 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
 
 
 def estimated_peaks(problem: Problem, L, level, k):
-    """Those of plant k between, below and above P's frequencies, and how they are known."""
+    """Yield the peaks of plant k between, below and above P's frequencies, each with its key."""
     response = problem.response
     sigma_M = partial(_sigma_M, problem, L, level, k)
     omega, sigma = with_tops(sigma_M, dense_grid(response, k, L), NEAR_LEVEL * level)
@@ -171,7 +181,7 @@ def estimated_peaks(problem: Problem, L, level, k):
 
 
 def _sigma_M(problem, L, level, k, omega):
-    """sigma_max(M) of plant k within its radius, and within what is assumed below its samples."""
+    """sigma_max(M) of plant k within its radius, and within its region below the samples."""
     response = problem.response
     (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
     of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
@@ -184,7 +194,7 @@ def _sigma_M(problem, L, level, k, omega):
 
 
 def passes(P, L, peak) -> bool:
-    """Whether P L passes something at a peak; else M is |Q| there, and no L makes it less."""
+    """Return whether P L passes something at a peak; else M is |Q| there for any L."""
     if not 1 - PASSES_NOTHING <= peak.sigma <= 1 + PEAK_TOLERANCE:
         return True
     [of_P], [of_L] = frequency_response(P, [peak.omega]), L.frequency_response([peak.omega])
@@ -192,10 +202,10 @@ def passes(P, L, peak) -> bool:
 
 
 def with_tops(function, omega, height=None) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies with those of the tops of crests, and the values of a function there.
+    """Add the tops of crests to frequencies, and evaluate a function at all frequencies.
 
-    The tops are where the parabolas through three points have them; of crests of this height or
-    more, which is `NEAR_LEVEL` times the largest value by default.
+    A parabola through three points gives the top of a crest. Only crests of at least `height` get a
+    top. The default height is `NEAR_LEVEL` times the largest value.
     """
     values = function(omega)
     height = NEAR_LEVEL * values.max() if height is None else height
@@ -209,9 +219,10 @@ def with_tops(function, omega, height=None) -> tuple[np.ndarray, np.ndarray]:
 
 
 def dense_grid(response: Response, number, L) -> np.ndarray:
-    """Some frequencies for each of a response, and those that resolve the poles of L and a model.
+    """Return a grid that subdivides omega and resolves the poles of L, and of P if P is a model.
 
-    Of samples up to the Nyquist frequency, see :mod:`.response.response`.
+    For samples, the grid runs from zero to the Nyquist frequency, as P has a radius above its last
+    sample, see :mod:`.response.response`.
     """
     model, (low, *_, high) = response.models[number], response.omega
     grids = [
@@ -233,7 +244,7 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
 
 
 def highest(peaks: list[Peak]) -> Peak:
-    """The highest of some peaks; of those that are tied, that of the first plant."""
+    """Return the highest of some peaks; if several are tied, the peak of the first plant."""
     sigma = max(peak.sigma for peak in peaks)
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     return replace(min(level, key=lambda peak: peak.plant), sigma=sigma)

@@ -1,4 +1,4 @@
-"""What a certificate says in print; what is known stands in :mod:`.evidence.certificate`."""
+"""The printed text of a certificate, whose values :mod:`.evidence.certificate` computes."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from ilctools.problem.reference import unreachable_rms
 from ilctools.response.samples import Assumed
 from ilctools.singular_values import TIED
 
-PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # of which the RMS is printed, where a reference is given
+PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # whose RMS is printed if there is a reference
 
 
 def printed(certificate) -> str:
-    """What a user asks first: the rate, margins, gains, and what limits them."""
+    """Return what a user asks first: the rate, margins, gains, and what limits them."""
     problem = certificate.problem
     known = [line for line in problem.assumptions if not isinstance(line, Assumed)]
     all_known = len(known) == len(problem.assumptions)
@@ -32,7 +32,7 @@ def printed(certificate) -> str:
 
 
 def details(certificate) -> str:
-    """See :attr:`.Certificate.details`."""
+    """Return the table of :attr:`.Certificate.details`."""
     problem, bounds = certificate.problem, certificate.problem.bounds
     peaks = certificate.peaks.items()
     table = [
@@ -57,7 +57,7 @@ def details(certificate) -> str:
 
 
 def _rate(certificate):
-    """The rate, for whom it holds and where it is attained."""
+    """The rate, the plants for which it holds, and where it is attained."""
     problem, peak = certificate.problem, certificate.highest_peak
     near = certificate.problem_on_grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
     at = np.append(near, peak.omega).min()
@@ -71,7 +71,7 @@ def _rate(certificate):
 
 
 def _whom(problem):
-    """For which plants the rate is."""
+    """The plants for which the rate holds, in words."""
     count = len(problem.plants)
     of = f" of {count} plants" if count > 1 else ""
     if problem.radius is not None:
@@ -95,7 +95,7 @@ def _gains(certificate):
 
 
 def _unequal(certificate):
-    """What other numbers of learned inputs than of outputs mean for what is learned."""
+    """What is learned if the numbers of learned inputs and outputs differ."""
     problem = certificate.problem
     if problem.square:
         return
@@ -112,12 +112,12 @@ def _unequal(certificate):
 
 
 def _count(number, what):
-    """So many of something, in words."""
+    """A number of things in words, in the singular or the plural."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _deaf(certificate):
-    """Where P passes nothing."""
+    """Where P passes nothing, in words."""
     if DEAF in certificate.peaks:
         place = certificate.place(certificate.peaks[DEAF])
         yield f"P passes nothing {place}: M is |Q| for any L, and the error stays"
@@ -130,7 +130,7 @@ def _below(certificate):
 
 
 def _limits(certificate):
-    """Which bounds limit the optimum; without them, no other than the filter's size."""
+    """The bounds that limit the optimum, and the size of the filter."""
     problem = certificate.problem
     if np.isnan(certificate.lower_bound):
         return "L = B by its formula, K = 1: nothing was optimised"
@@ -160,7 +160,7 @@ def _mean(certificate):
 
 
 def _against(certificate):
-    """Warnings and failures."""
+    """The lines of warnings and failures."""
     yield from (f"WARNING: {found}" for found in certificate.warnings)
     yield from (f"FAILS: {found}" for found in certificate.failures)
 

@@ -1,7 +1,8 @@
 """How slowly may it converge? The worst case of M over all plants considered possible.
 
-For each frequency: the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants P_k and all Delta
-within the radius, an upper bound with a proof, which one Delta reaches.
+At each frequency, the worst case is the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants
+P_k and all Delta within the radius. The value is an upper bound with a proof, and one Delta
+reaches this bound.
 """
 
 from dataclasses import dataclass
@@ -16,33 +17,33 @@ from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
-NEAR_LEVEL = 0.99  # share of a level from which on a worst case is worth its exact value
+NEAR_LEVEL = 0.99  # share of a level, above which a worst case is computed exactly
 TO_ROUNDING = {"xatol": 0, "xrtol": 1e-11, "fatol": 0, "frtol": 1e-13}
-MOST_UNEQUAL = 40.0  # logarithm of the ratio of two shares: the smaller is then below rounding
+MOST_UNEQUAL = 40.0  # logarithm of the ratio of two shares: the smaller one is below rounding
 
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
+    """The worst case of sigma_max(M) at each frequency. :func:`worst_case` makes it."""
 
     sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta
-    frequency: int  # index of that of the peak, and the plant whose it is; the first of the tied
+    frequency: int  # index of the frequency of the peak, and its plant; the first of the tied
     plant: int
 
 
 def worst_case(problem: Problem, L: Filter) -> WorstCase:
-    """Find the worst of all plants of a problem for a learning filter.
+    """Find the largest sigma_max(M) of a learning filter over all plants of a problem.
 
     Parameters
     ----------
     problem : Problem
     L : LearningFilter
-        In units of `scale`.
+        The filter, in units of `scale`.
 
     See Also
     --------
-    synthesise : bounds for all of them
-    Synthesis.check : for one plant
+    synthesise : bounds sigma_max(M) for all plants
+    Synthesis.check : the same for one plant
 
     Notes
     -----
@@ -51,9 +52,9 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
         max over unit x of |M x| + rho |L x|
             = min over alpha in (0, 1) of sigma_max([M / sqrt(alpha); rho L / sqrt(1 - alpha)]).
 
-    A Delta of rank one, which turns rho L x against M x, reaches what stands on the left for an x.
-    For each alpha the right-hand side is an upper bound, by Cauchy and Schwarz; it is convex in
-    alpha, and at the least of them an x exists that attains it, because the pairs
+    For a given x, a Delta of rank one, which turns rho L x against M x, reaches the left-hand side.
+    For each alpha the right-hand side is an upper bound, by Cauchy and Schwarz, and this bound is
+    convex in alpha. At the least bound, an x exists that attains the bound, because the pairs
     (|M x|^2, |L x|^2) fill a convex set (Toeplitz and Hausdorff).
 
     Examples
@@ -79,17 +80,17 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
 
 
 def worst_sigma(problem, L, k, level):
-    """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
+    """Return sigma_max(M) of plant k within the radius; well below the level, an upper bound."""
     return within_radius(problem.plants[k], problem.Q, L, problem.response.radii, level)
 
 
 def within_radius(P, Q, L, radius, level):
-    """The worst case at each frequency, (n,), of P, (n, p, m), and L, (n, m, p), within a radius.
+    """Return the worst case of P (n, p, m) and L (n, m, p) within a radius, (n,).
 
-    Exact from `NEAR_LEVEL` times the level on, an upper bound below.
+    The result is exact above `NEAR_LEVEL` times the level. Below, it is an upper bound.
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
-    if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same of P^T and L^T
+    if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same problem for P^T and L^T
         M, rho_L = M.swapaxes(1, 2), rho_L.swapaxes(1, 2)
     wider = largest_singular_values(rho_L) if np.any(radius) else np.zeros(len(M))
     sigma = largest_singular_values(M) + wider
@@ -101,10 +102,10 @@ def within_radius(P, Q, L, radius, level):
 
 
 def _least_bound(G):
-    """The least over alpha of sigma_max of [M; rho L], weighted, (n,); NaN if M is zero."""
+    """The least sigma_max over alpha of the weighted [M; rho L], (n,); NaN if M is zero."""
 
     def bound(t, i):
-        """Of [M / sqrt(alpha); rho L / sqrt(1 - alpha)] for t = log((1 - alpha) / alpha)."""
+        """sigma_max([M / sqrt(alpha); rho L / sqrt(1 - alpha)]), t = log((1 - alpha) / alpha)."""
         m = G.shape[2]
         root = np.sqrt(expit([-t, t])).T.repeat([m, G.shape[1] - m], axis=1)
         return largest_singular_values(G[i] / root[:, :, None])

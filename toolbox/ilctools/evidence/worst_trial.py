@@ -1,8 +1,8 @@
-"""The largest norm of a trial among several plants, by one Lanczos iteration for all of them.
+"""The largest norm of a trial among several plants, by a single Lanczos iteration.
 
-The map of a trial of plant k is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. The largest
-norm of them is that of the map which has all T_k on its diagonal. Q and L are the same for all
-plants, so that L_N is made a matrix once, and filters the signals of all plants at the same time.
+For plant k, the map of a trial is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. The map
+with all T_k on its diagonal has the largest of their norms. All plants share Q and L. The matrix of
+L_N is therefore computed once, and filters the signals of all plants at the same time.
 """
 
 import numpy as np
@@ -20,7 +20,10 @@ TOLERANCE = 1e-8  # relative residual of the eigenvector, as for one plant
 def largest_trial_norm(
     plants, Q: ZeroPhaseButterworth, L: Filter, samples: int, learned_basis=None
 ) -> float:
-    """The largest 2-norm of a trial among some plants; of all v, or of those in `learned_basis`."""
+    """Return the largest 2-norm of a trial among some plants.
+
+    The norm is over all v, or over the v that `learned_basis` spans.
+    """
     learned_basis = eye_array(samples * L.rows) if learned_basis is None else learned_basis
     maps = Maps(plants, Q, L, samples, learned_basis)
     size = len(plants) * learned_basis.shape[1]
@@ -32,7 +35,7 @@ def largest_trial_norm(
 
 
 class Maps:
-    """The maps T_k of some plants, each on a signal of its own, (plants, samples, channels)."""
+    """The maps T_k of some plants, applied to one signal each, (plants, samples, channels)."""
 
     def __init__(self, plants, Q, L, samples, learned_basis):
         self.Q, self.learned_basis = Q, learned_basis
@@ -43,7 +46,7 @@ class Maps:
         self.H = rfft([impulse_response(P, samples) for P in plants], self.length, axis=1)
 
     def normal(self, coordinates) -> np.ndarray:
-        """T_k^T T_k v_k in the coordinates of `learned_basis`, raveled."""
+        """Return T_k^T T_k v_k in the coordinates of `learned_basis`, raveled."""
         v = coordinates.reshape(len(self.H), -1) @ self.learned_basis.T
         changed = v - self.filtered(self.H, v.reshape(self.of_v)) @ self.L_N.T
         back = self.Q.apply_transposed(self.Q.apply(changed.reshape(self.of_v)))
@@ -52,7 +55,7 @@ class Maps:
         return (result @ self.learned_basis).ravel()
 
     def filtered(self, H, signals):
-        """P_k v_k, or with H adjoint P_k^T e_k, (plants, samples channels)."""
+        """Return P_k v_k, or P_k^T e_k if H is adjoint, (plants, samples channels)."""
         spectra = rfft(signals, self.length, axis=1)[..., None]
         made = irfft((H @ spectra)[..., 0], self.length, axis=1)[:, : signals.shape[1]]
         return made.reshape(len(made), -1)

@@ -15,9 +15,9 @@ set of columns Z, filtered by A:
   trial. If there is a single trial, both are multiplied by the time.
 - The sign of the last move of each input, filtered by the plant, stands for backlash. Backlash
   passes on u less half the gap times this sign.
-- Squares and cubes stand for a curve, a dead zone or a spring that is not linear. They are taken of
-  the inputs and of the measured output, both filtered by the plant, and of the simulated output
-  by itself.
+- Squares and cubes stand for a curve, a dead zone or a spring that is not linear. The squares and
+  cubes of the inputs and of the measured output are filtered by the plant. The squares and cubes
+  of the simulated output are used as they are.
 
 All these hypotheses are about P. The simulated output of the first hypothesis is the response to
 the commanded inputs. The inputs of the other hypotheses are the commanded inputs. The effect of a
@@ -124,7 +124,7 @@ def contradictions(
 
 
 def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
-    """All that are tested, in the order of their columns in `columns_of`."""
+    """List all hypotheses that are tested, in the order of their columns in `columns_of`."""
     m, asked = groups[0].commanded, []
     for group in groups:
         alone = len(group.y) == 1
@@ -135,7 +135,7 @@ def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
 def score(
     fit: Regression, groups: Sequence[Trials], added: Callable[[Series], np.ndarray]
 ) -> Score:
-    """(1), of one gain more of each input, and of the columns (column, time) of each series."""
+    """Compute (1) for one further gain of each input, and for columns (column, time) per series."""
     at, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
     G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
     gains = np.zeros((p, len(layout.delays)))

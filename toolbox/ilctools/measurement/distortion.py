@@ -1,24 +1,27 @@
-"""What an excited record shows at its lines beside a linear model: noise, and what is not linear.
+"""Noise and distortion (what is not linear) at the lines of an excited record.
 
-The regression of a record, A(z) y = B(z) w + e, connects the lines and knows transients. It takes
-all that is left for noise. At the lines of an excitation its residual e of realisation r in period
-p is, by the transforms E_rp and W_r over a period, with the m experiments as columns,
+The regression of a record, A(z) y = B(z) w + e, connects the lines and models transients. The
+regression takes all that is left for noise. E_rp is the transform of its residual e over period p
+of realisation r, at the lines of the excitation. W_r is the transform of w. Both have the m
+experiments as columns. Then
 
     D_rp = E_rp W_r^-1 / A,    G_rp = P + D_rp,                                                 (1)
 
-which are the periods of :mod:`.excited`, (1) there, without transients. So its (2) and (3) are the
-noise and the error of lines, and what is not linear has the variance
+where the G_rp are the responses (1) of :mod:`.excited`, without transients. Equations (2) and (3)
+of that module therefore give the noise and the error at the lines. What is not linear has the
+variance
 
     delta^2 = max(error^2 - noise^2, 0),  if the mean of error^2 / noise^2 over all lines       (2)
 
-is above the 99 % point of its F distribution; else there is none. What is not linear is alike in
-all periods of a realisation. As an error of E it has, at a line of an experiment, the variance
+is above the 99 % point of its F distribution. Otherwise the variance is zero. What is not linear
+is the same in all periods of a realisation. As an error of E, at a line of an experiment, what is
+not linear has the variance
 
     v = R delta^2 ||W||^2 / m^2 |A|^2,                                                          (3)
 
-times the ratio of the quantiles of F and chi^2 at 1 - TAIL, for delta^2 is itself estimated. With
-the transform F of the regressors, summed over the N periods of p samples, over sqrt(N), the
-unknowns x have the further covariance
+times the ratio of the quantiles of F and chi^2 at 1 - TAIL, because delta^2 is itself estimated.
+Let F be the transform of the regressors, summed over the N periods of p samples and divided by
+sqrt(N). The unknowns x then have the further covariance
 
     M V M,    V = sum over experiments and lines of 2 N v / p^2 Re(F F^H),                      (4)
 
@@ -45,16 +48,17 @@ CONTRADICTED = (
     "as behind a long delay or of a narrow resonance. Record longer periods, or more lines"
 )
 GATE = 0.99  # probability that noise alone does not pass for something that is not linear
-TAIL = 2e-4  # at which v is as uncertain as delta^2
+TAIL = 2e-4  # probability of the tail at which v is as uncertain as delta^2
 
 
 def combined(
     log, excitation: Excitation, of_lines: ExcitedResponse
 ) -> EstimatedResponse | ExcitedResponse:
-    """The estimate of an excited record, by the regression and its lines.
+    """Estimate P from an excited record, by the regression and by the lines.
 
-    It is P at the lines alone where these know P better, where no linear model describes the
-    record, and where the lines contradict it. The last two are findings.
+    The estimate is P at the lines alone in three cases: the lines have the smaller radius, no
+    linear model describes the record, or the lines contradict the model. The last two cases are
+    findings.
     """
     try:
         estimate = estimated_response([log], "w")
@@ -81,7 +85,7 @@ def _at_lines(of_lines, reason):
 
 
 def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResponse:
-    """(1) of all outputs, in the units of the estimate."""
+    """Compute (1) for all outputs, in the units of the estimate."""
     [group] = estimate.record.groups
     angles = excitation.omega * estimate.loop.Ts
     W = spectra(group.u[..., : group.commanded], excitation)
@@ -95,7 +99,7 @@ def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResp
 
 
 def spectra(signal, excitation) -> np.ndarray:
-    """At the lines, of all periods, (realisation, period, n, channel, experiment)."""
+    """Transform all periods, at the lines: (realisation, period, n, channel, experiment)."""
     m, period, channels = excitation.rows, excitation.period, signal.shape[-1]
     parts = signal.reshape(len(signal) // m, m, -1, period, channels)
     lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
@@ -103,7 +107,7 @@ def spectra(signal, excitation) -> np.ndarray:
 
 
 def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> EstimatedResponse:
-    """The estimate, with the covariance (4) where the lines show what is not linear."""
+    """Add the covariance (4) to outputs for which the lines show something that is not linear."""
     lines, [group] = lines_of(estimate, excitation), estimate.record.groups
     fits, linear = [], True
     for i, (fit, units) in enumerate(zip(estimate.fits, estimate.units, strict=True)):
@@ -114,13 +118,13 @@ def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> Esti
             one = replace(group, y=group.y[..., [i]])
             fit = replace(fit, C=fit.C + added_covariance(fit, one, excitation, v))
         fits.append(fit)
-    # A contradiction too small to be said is in what the lines show.
+    # A contradiction that is too small to report is in what the lines show.
     apart = estimate.apart if estimate.apart > SEEN else 0.0
     return replace(estimate, fits=tuple(fits), apart=apart, lines=lines, linear=linear)
 
 
 def distortion(lines: ExcitedResponse) -> np.ndarray:
-    """delta^2 of (2) of one output, times the ratio of quantiles of (3), (n,)."""
+    """Compute delta^2 of (2) for one output, times the ratio of quantiles of (3), (n,)."""
     R, N = lines.periods.shape[:2]
     square, d, f = lines._error
     noise = lines.noise**2
@@ -135,7 +139,7 @@ def distortion(lines: ExcitedResponse) -> np.ndarray:
 
 
 def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.ndarray:
-    """M V M of (4)."""
+    """Compute M V M of (4)."""
     m, period, R = excitation.rows, excitation.period, len(group.y) // excitation.rows
     angles = 2 * np.pi * np.array(excitation.harmonics) / period
     W = spectra(group.u[..., : group.commanded], excitation)[:, 0]  # alike in all periods

@@ -19,7 +19,7 @@ sigma^2. For one circular and independent entry of dP
 
 which has one solution t by Wright's omega function. The radius is c (theta t)^(1/2). At each
 frequency by itself, c is `FACTOR`. For all frequencies at once, c is `JOINT`, and p is divided by
-`INDEPENDENT`. These numbers make the benchmarks cover (docs/estimator.md).
+`INDEPENDENT`. With these numbers the benchmarks cover (docs/estimator.md).
 
 *Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero. Then A has as many
 zeros outside the circle as its estimate (Rouche). If there are any, the plant does not settle. The
@@ -200,8 +200,8 @@ class EstimatedResponse(Measured):
         """Compute a model near P, with the lowest order that is near enough.
 
         A model is near P if its error is within the joint 99 % radius. At frequencies of which a
-        period fits into a record, the error must also be within a tenth of the largest P. So the
-        model is like the estimate even if the record contains little information.
+        period fits into a record, the error must also be within a tenth of the largest P. The
+        model is therefore like the estimate even if the record contains little information.
 
         The model is balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar
         Conference (1978) 705-714). A delay also takes states. If no order is enough, a LogError is
@@ -336,8 +336,8 @@ def estimated_response(
 def quantile(trace, root, shares, p: float) -> np.ndarray:
     """Compute the value that ||dP|| / |1 + a| exceeds with the probability p, by (2), (n,).
 
-    `trace` is tr S and `root` is the root of tr S^2, both (n,). `shares` are the variances of the
-    real and the imaginary part of dA / A of each output, (output, 2, n).
+    `trace` is tr S and `root` is the root of tr S^2, both (n,). `shares`, (output, 2, n), has the
+    variances of the real and the imaginary part of dA / A for each output.
     """
     shape = trace**2 / (2 * root**2)
     x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape

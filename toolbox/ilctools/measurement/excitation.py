@@ -1,4 +1,4 @@
-"""What the loop is shaken with: periodic multisines, on few lines and with low peaks."""
+"""Excitations of a loop: periodic multisines with few excited frequencies (lines) and low peaks."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -13,54 +13,56 @@ from ilctools.law.notes import read_note, with_loop
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-CLIPPING_ROUNDS = 300  # of the search for low peaks: three times as many lower them by 3 %
-# By default, as with more the quantiles of the radius hardly fall.
+CLIPPING_ROUNDS = 300  # of the search for low peaks: three times as many lower peaks by 3 %
+# Defaults: with more realisations the quantiles of the radius hardly fall.
 FEWEST_REALISATIONS, MOST_REALISATIONS = 2, 10
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """Of each realisation of the phases as many experiments as inputs, all of which are shaken.
+    """An excitation: for each realisation of the phases, as many experiments as inputs.
 
-    In experiment e, input i is amplitude_i / peak times the sum over the harmonics h of
-    cos(2 pi h t / period + phase_ih + 2 pi e i / m). So at every line the m experiments are
-    orthogonal: with the same peaks and in the same time, the variance of the estimate is an m-th of
-    that with one input at a time (Dobrowiecki, Schoukens and Guillaume, Optimized excitation
-    signals for MIMO frequency response function measurements, IEEE Trans. Instrum. Meas. 55,
-    2006). Other phases in the next realisation show what is not linear. The first period of each
-    experiment is left out: in it most of the transient decays.
+    All inputs are excited in each experiment. In experiment e, input i is amplitude_i / peak times
+    a sum of cosines. The sum is over the harmonics h of
+    cos(2 pi h t / period + phase_ih + 2 pi e i / m). At every line the m experiments are therefore
+    orthogonal. With the same peaks and in the same time, the variance of the estimate is 1 / m of
+    the variance with one input at a time. The source is Dobrowiecki, Schoukens and Guillaume,
+    Optimized excitation signals for MIMO frequency response function measurements, IEEE Trans.
+    Instrum. Meas. 55, 2006. The next realisation has other phases, which
+    show what is not linear. The first period of each experiment is left out, because most of the
+    transient decays in this period.
     """
 
     Ts: float  # s
     period: int  # samples
-    periods: int  # of each experiment that are evaluated
+    periods: int  # number of periods of each experiment that are evaluated
     harmonics: list[int]  # of the period, increasing
-    phases: list[list[list[float]]]  # rad, of (realisation, input, harmonic)
+    phases: list[list[list[float]]]  # rad, (realisation, input, harmonic)
     amplitude: list[float]  # largest |w| of each input, in the units of the outputs
 
     @property
     def rows(self) -> int:
-        """Number of inputs, and of experiments of each realisation."""
+        """Number of inputs, which is also the number of experiments of each realisation."""
         return len(self.amplitude)
 
     @property
     def omega(self) -> np.ndarray:
-        """The frequencies that are excited, rad/s."""
+        """The excited frequencies, rad/s."""
         return 2 * np.pi * np.array(self.harmonics) / (self.period * self.Ts)
 
     @property
     def evaluated(self) -> int:
-        """Samples at the end of each experiment that are evaluated."""
+        """Number of evaluated samples, at the end of each experiment."""
         return self.periods * self.period
 
     @property
     def samples(self) -> int:
-        """Samples of each experiment."""
+        """Number of samples of each experiment."""
         return self.evaluated + self.period
 
     @property
     def hours(self) -> float:
-        """What all experiments take together."""
+        """Duration of all experiments together, in hours."""
         return self.rows * len(self.phases) * self.samples * self.Ts / 3600
 
     @cached_property
@@ -210,7 +212,7 @@ def with_excitation(
     loop: Loop,
     limits: dict[str, tuple[float, ...]] | None = None,
 ) -> xr.Dataset:
-    """Note which excitation made the trials, of which loop, and what its actuators follow."""
+    """Note in trials which excitation made them, of which loop, and the limits of its actuators."""
     notes = {"excitation": json.dumps(asdict(excitation))}
     if limits:
         notes["actuators"] = json.dumps(limits, ensure_ascii=False)
@@ -218,7 +220,7 @@ def with_excitation(
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:
-    """The excitation noted in the metadata of a log; None if it does not say."""
+    """Read the excitation from the metadata of a log; None if the log has no such note."""
 
     def read(note):
         excitation = Excitation(**note)

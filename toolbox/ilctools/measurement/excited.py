@@ -1,29 +1,33 @@
-"""P of an excited rig by the robust method, and how far off it may be.
+"""P of an excited rig by the robust method, and how wrong the estimate may be.
 
-Of period p of realisation r of the phases, at a line, W_r and Y_rp are the spectra of the m
-experiments, (input, experiment) and (output, experiment). With R realisations of N periods,
+At a line, Y_rp is the spectrum of the outputs in period p of realisation r of the phases, (output,
+experiment). W_r is the spectrum of the inputs, (input, experiment). There are m experiments, and R
+realisations of N periods. Then
 
     G_rp = Y_rp W_r^-1,    G_r = mean of G_rp over p,    P = mean of G_r over r,                (1)
     noise^2 = sum_rp ||G_rp - G_r||^2 / (R^2 N (N - 1)),                                        (2)
     error^2 = sum_r ||G_r - P||^2 / (R (R - 1))                                                 (3)
 
-in Frobenius norms: periods differ by noise alone, realisations also by what a loop that is not
-linear answers to other phases (R. Pintelon and J. Schoukens, System Identification, 2012, section
-4.3.1). P is the best linear approximation, the one that depends on no phases.
+in Frobenius norms. Periods differ by noise alone. Realisations also differ by the response of a
+nonlinear loop to other phases (R. Pintelon and J. Schoukens, System Identification, 2012, section
+4.3.1). P is the best linear approximation, which does not depend on the phases.
 
-*Known disturbances* of the log are not used. What they do is noise if it differs between periods,
-and counts as not linear if it differs between realisations only; both are in the radius. The
-regression (``of="w"``) takes them as inputs.
+*Known disturbances* of the log are not used. Their effect counts as noise if it differs between
+periods. The effect counts as not linear if it differs between realisations only. Both are in the
+radius. The regression (``of="w"``) takes known disturbances as inputs.
 
-*Variance.* The noise of (2) and (3) is that of gamma distributions; their logarithms are smoothed
-by straight lines over that of the frequency, through the nearest lines, where (2), and (3) relative
-to (2) and a share of P: so it may have the same resonances. Where a line's own is larger than
-noise makes it in one line of 10,000, a disturbance is on it, such as a hum: it stands for itself.
+*Variance.* The estimates (2) and (3) scatter like gamma distributions. Their logarithms are
+smoothed over the logarithm of the frequency, by straight lines through the nearest excited
+frequencies. (2) is smoothed as it is. (3) is smoothed relative to (2) and a share of P, and may
+therefore have the same resonances. The variance at a line may be larger than noise makes it at one
+line of 10,000. A disturbance such as a hum is then on this line, and the line keeps its own
+variance.
 
-*Radius.* With d independent entries of P that err, ||Delta||^2 / error^2, in the Frobenius norm,
-which is no less than the largest singular value, has an F distribution of 2 d and 2 f degrees of
-freedom. The trace of the covariance of the entries and that of its square determine d (F. E.
-Satterthwaite, Biometrics Bulletin 2 (1946) 110-114); f is that of the smoothed variance.
+*Radius.* Let d be the number of independent entries of P with errors. In the Frobenius norm,
+||Delta||^2 / error^2 has an F distribution with 2 d and 2 f degrees of freedom. The Frobenius norm
+is no less than the largest singular value. The trace of the covariance of the entries, and the
+trace of its square, determine d (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110-114). The
+smoothed variance determines f.
 """
 
 from dataclasses import dataclass, replace
@@ -38,20 +42,21 @@ from ilctools.measurement.excitation import Excitation
 from ilctools.response.measured import Measured
 from ilctools.response.samples import Assumed, Samples
 
-# Lines beside one, by realisations after the first, with which variances are smoothed: with fewer
-# radii are larger; with more variances bend, and what is not linear is alike at neighbouring lines.
-MOSTLY = 3.0  # times as much by what is not linear as by noise: then another amplitude is advised
+# NEIGHBOURING_LINES, divided by the number of realisations after the first one, is the number of
+# neighbouring lines with which the variance at a line is smoothed. With fewer lines radii are
+# larger. With more lines variances bend, and what is not linear is alike at neighbouring lines.
+MOSTLY = 3.0  # ratio of distortion to noise above which another amplitude is advised
 NEIGHBOURING_LINES = 8
 
 
 @dataclass(frozen=True, repr=False)
 class ExcitedResponse(Measured):
-    """The best linear approximation from w to y as measured, and how far off it may be."""
+    """The measured best linear approximation from w to y, and how wrong it may be."""
 
     omega: np.ndarray  # rad/s, shape (n,)
     periods: np.ndarray  # G_rp, shape (realisation, period, n, m, m), complex
     loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
-    # what speaks against the measurement, and what follows
+    # what speaks against the measurement, and what follows from that
     findings: tuple[str, ...] = ()
 
     @cached_property
@@ -61,7 +66,7 @@ class ExcitedResponse(Measured):
 
     @cached_property
     def response(self) -> np.ndarray:
-        """Their mean, shape (n, m, m)."""
+        """The mean of the responses over all realisations, shape (n, m, m)."""
         return self.realisations.mean(axis=0)  # P, (1)
 
     @cached_property
@@ -74,46 +79,50 @@ class ExcitedResponse(Measured):
 
     @property
     def error(self) -> np.ndarray:
-        """Likewise, by noise and by what is not linear."""
+        """Standard deviation of P by noise and by what is not linear, shape (n,)."""
         return np.sqrt(self._error[0])
 
     @property
     def distortion(self) -> np.ndarray:
-        """Likewise, by what is not linear, drifts, or had not settled after the first period."""
+        """Standard deviation of P by what is not linear, drifts, or settles too late, shape (n,).
+
+        What settles too late had not settled after the first period.
+        """
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
 
     def _variance(self, off, count):
-        """That of errors at each line, (n,), at least that of numbers."""
+        """Variance of errors at each line, (n,), but at least the variance of rounding."""
         return np.maximum(_squares(off) / count, 1e-24 * _squares(self.response) + 1e-300)
 
     @cached_property
     def _error(self):
-        """Its square, d and f."""
+        """The square of `error`, d and f."""
         off, R, noise = self.realisations - self.response, len(self.periods), self.noise**2
         both, size = self._variance(off, R * (R - 1)), _squares(self.response)  # (3)
         shape = noise + max(np.sum(both - noise), 0) / size.sum() * size
         return self._smoothed(off, both, R - 1, shape)
 
     def _smoothed(self, off, variance, freedom, shape=1.0):
-        """A variance (n,) of errors (..., n, p, m) with the `freedom` of each line, d, and f (n,).
+        """Smooth a variance (n,) of errors (..., n, p, m); returned with d, and with f (n,).
 
-        Smoothed is its ratio to a `shape`.
+        `freedom` is the number of degrees of freedom of each line. What is smoothed is the ratio of
+        the variance to a `shape`.
         """
         weights = self._straight()
         mean = np.exp(weights @ np.log(variance / shape)) * shape
         left, _, right = np.linalg.svd(self.response, full_matrices=False)
-        turn = (left @ right).conj().swapaxes(1, 2)  # errors turn from line to line as P
+        turn = (left @ right).conj().swapaxes(1, 2)  # errors turn from line to line like P
         # on the side with fewer channels: what is left out there makes the radius larger
         turned = turn @ off if left.shape[1] >= right.shape[2] else off @ turn
         d = _directions(turned / np.sqrt(mean)[:, None, None], (weights != 0) * 1.0, freedom)
-        a = freedom * d  # of the gamma distribution of the variance
+        a = freedom * d  # the shape of the gamma distribution of the variance
         f = 1 / (polygamma(1, a) * np.sum(weights**2, axis=1)) + 0.5
         mean = mean * a / np.exp(psi(a))
-        alone = variance > mean * fdtri(2 * a, 2 * f, 0.9999)  # what disturbs that line only
+        alone = variance > mean * fdtri(2 * a, 2 * f, 0.9999)  # a disturbance of this line only
         return np.where(alone, variance, mean), d, np.where(alone, a, f)
 
     def _straight(self):
-        """Weights of the values at the lines for the straight line through the nearest, (n, n)."""
+        """Weights of the lines for a straight line through the nearest excited lines, (n, n)."""
         x, n = np.log(self.omega), len(self.omega)
         count = max(3, 1 + NEIGHBOURING_LINES // (len(self.periods) - 1))
         weights = np.zeros((n, n))
@@ -129,7 +138,7 @@ class ExcitedResponse(Measured):
         return np.sqrt(square * fdtri(2 * d, 2 * f, 1 - miss))
 
     def _samples(self, confidence):
-        """At negative frequencies as well, and I at zero if that is known of the loop."""
+        """Samples, also at negative frequencies, and I at zero if the loop has P(0) = I."""
         radius = self.radius(confidence, jointly=True)
         rest = np.eye(*self.response.shape[1:])[None, :][: self.anchored]
         return Samples(
@@ -140,12 +149,12 @@ class ExcitedResponse(Measured):
 
     @property
     def lines(self) -> "ExcitedResponse":
-        """P at the lines: itself."""
+        """P at the lines, which is this object itself."""
         return self
 
     @property
     def anchored(self) -> bool:
-        """Whether P(0) = I is known of the loop: its observer integrates."""
+        """Whether P(0) = I is known, because the loop's observer integrates."""
         return isinstance(self.loop, CurrentTrialLoop)
 
     def _scaled(self, of_P):
@@ -172,7 +181,7 @@ class ExcitedResponse(Measured):
 
     @property
     def deviations(self) -> str:
-        """How much noise, and what is not linear, make P uncertain at the lines, in words."""
+        """How uncertain noise, and what is not linear, make P at the lines, in words."""
         return (
             f"standard deviation up to {self.noise.max():.2g} by noise, and up to "
             f"{self.distortion.max():.2g} by what is not linear or drifts"
@@ -180,7 +189,7 @@ class ExcitedResponse(Measured):
 
     @property
     def advice(self) -> str:
-        """What would make P more certain, if noise does not."""
+        """Advice on what would make P more certain, if noise is not the main cause."""
         curved = self.distortion.max() > MOSTLY * self.noise.max()
         return ": a smaller amplitude may help more than a longer record" if curved else ""
 
@@ -191,18 +200,18 @@ def _squares(off):
 
 
 def _directions(off, near, freedom):
-    """Independent entries, 1/2 (a real one) to all, of errors (..., n, m, m) of about one size."""
+    """Count independent entries, 1/2 (a real one) to all, of errors (..., n, m, m) of like size."""
     parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off.shape[-1] ** 2)
     C = np.tensordot(near, np.einsum("rki,rkj->kij", parts, parts), 1)
     square, squares = np.trace(C, axis1=1, axis2=2) ** 2, np.linalg.norm(C, axis=(1, 2)) ** 2
-    nu = freedom * near.sum(axis=1)  # which, being few, alone make both larger
+    nu = freedom * near.sum(axis=1)  # a small number by itself makes both traces larger
     below = (squares - square / nu) / (1 + 2 / nu) / np.maximum(1 - 1 / nu, 1e-9)
     above = square - 2 * below / nu
     return float(np.clip(above.sum() / max(below.sum(), 1e-300), 1, parts.shape[-1])) / 2
 
 
 def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
-    """From signals of all periods that are evaluated, (experiment, time, channel)."""
+    """Compute P from the signals of all evaluated periods, (experiment, time, channel)."""
     W, Y = (_spectra(signal, excitation) for signal in (w, y))
     findings = ()
     if beyond := commands_beyond(asked, loop.commands, limits):
@@ -214,7 +223,7 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
 
 
 def _spectra(signal, excitation):
-    """At the lines, shape (realisation, period, n, channel, experiment)."""
+    """Transform a signal, at the lines: (realisation, period, n, channel, experiment)."""
     m = excitation.rows
     channels = signal.shape[-1]
     parts = signal.reshape(-1, m, excitation.periods, excitation.period, channels)

@@ -21,7 +21,7 @@ from ilctools.measurement.record import check_moved
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 from ilctools.warn import warn
 
-# How far w may be from the excitation, relative to its amplitude: logs hold few digits.
+# Largest difference between w and the excitation, relative to its amplitude: logs hold few digits.
 ROUNDING_OF_W = 0.02
 
 
@@ -156,14 +156,14 @@ def measured_response(
 
 
 def _warned(measured):
-    """A response for whoever called the caller, with a warning for each of its findings."""
+    """Warn of each finding of a response, and return the response."""
     for finding in measured.findings:
         warn(finding)
     return measured
 
 
 def _signals(log, excitation):
-    """w (experiment, time, m) and y of the periods that are evaluated, if all are there."""
+    """Return w (experiment, time, m) and y of the evaluated periods; refuse missing experiments."""
     shaken = excitation.signals
     if log.trial.values.tolist() != list(range(1, len(shaken) + 1)):
         raise LogError(

@@ -1,8 +1,9 @@
-"""Records of one plant, checked once: what an estimate is made of.
+"""Records of one plant, checked once, from which a response is estimated.
 
-A log may hold other inputs of the plant, which no loop commands and which were measured: its
-`disturbance`. They are inputs of the estimate like the commanded ones, if they move. In a log that
-does not have one that another log has, this one counts as at rest, so that what it does is noise.
+A log may hold other inputs of the plant in its `disturbance`. Such inputs were measured, but no
+loop commands them. If a disturbance moves, the disturbance is an input of the estimate like the
+commanded inputs. If a log lacks a disturbance that another log has, the disturbance counts as at
+rest there, and its effect counts as noise.
 """
 
 from collections.abc import Sequence
@@ -21,15 +22,15 @@ from ilctools.measurement.arx.trials import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
 FEWEST_SAMPLES = 20  # of a trial
-# A disturbance that moves less, relative to its size, is constant but for rounding.
+# A disturbance that moves less than this, relative to its size, is constant except for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
-# In a unit of moves of 1e30 and 1e-30 the fourth power of P, of which the radius is made, is at
-# most 1e240: a double still holds it. No quantity that a rig has is of such a size in SI units.
+# The radius is computed from the fourth power of P. If signals move by 1e30 and 1e-30, this power
+# is at most 1e240, which a double still holds. No quantity of a rig has such a size in SI units.
 LARGEST_MOVES, SMALLEST_MOVES = 1e30, 1e-30
 
 
 class Sizes(NamedTuple):
-    """RMS of the moves of each signal."""
+    """RMS values of the moves of each signal."""
 
     inputs: np.ndarray  # (m,)
     outputs: np.ndarray  # (p,)
@@ -37,22 +38,26 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """Inputs and outputs of logs from before each trial on, in units of `sizes`."""
+    """Inputs and outputs of logs, relative to before each trial, in units of `sizes`."""
 
-    groups: tuple[Trials, ...]  # of each length
+    groups: tuple[Trials, ...]  # one group of trials for each length
     inputs: list[str]
     sizes: Sizes
-    delay: np.ndarray  # after which y answers at the earliest, (input,), samples
-    direct: bool  # whether y(t) may depend on the inputs at t, or when the delay is over
+    delay: np.ndarray  # samples after which y responds at the earliest, (input,)
+    direct: bool  # whether y(t) may depend on the inputs at t, or at t - delay
     source: str  # the inputs: "w" or "u"
-    loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the logs name none
-    disturbances: tuple[str, ...] = ()  # known ones, which move: further inputs of the estimate
+    loop: Loop  # the loop of the record; a ClosedLoop without P, if the logs name none
+    disturbances: tuple[str, ...] = ()  # known disturbances that move: further inputs
 
     @classmethod
     def of(
         cls, logs: xr.Dataset | Sequence[xr.Dataset], source: str | None = None, delay=None
     ) -> "Record":
-        """Of a log or several; `source` and `delay` as for :func:`ilctools.measured_response`."""
+        """Make a record from one log or several, and check them.
+
+        `source` and `delay` have the meaning of `of` and `delay` in
+        :func:`ilctools.measured_response`.
+        """
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
         logs = [log.transpose("trial", "time", ...) for log in logs]
         named = {f"log[{i}]" if len(logs) > 1 else "log": log for i, log in enumerate(logs)}
@@ -81,7 +86,7 @@ class Record:
 
     @property
     def longest(self) -> int:
-        """Samples of the longest trial."""
+        """Number of samples of the longest trial."""
         return longest_of(self.groups)
 
     def __str__(self):
@@ -95,7 +100,7 @@ class Record:
 
 
 class _Moves(NamedTuple):
-    """What a log has, (trial, time, channel) each, from before each trial on."""
+    """The signals of a log, (trial, time, channel) each, relative to before each trial."""
 
     u: np.ndarray
     y: np.ndarray
@@ -104,7 +109,7 @@ class _Moves(NamedTuple):
 
 
 def _groups(moves, known, sizes):
-    """Trials by their length: in all of one length the same disturbance may repeat."""
+    """Group trials by length: in all trials of one length the same disturbance may repeat."""
     alike = {}
     for one, disturbances in zip(moves, known, strict=True):
         u = np.concatenate([one.u / sizes.inputs, disturbances], axis=2)
@@ -122,14 +127,14 @@ def _groups(moves, known, sizes):
 
 
 def _source_of(logs, asked):
-    """The inputs that are asked for, or by default w, if all logs have a reference."""
+    """Return the requested inputs; the default is w if all logs have a reference."""
     if asked is None:
         return "w" if all("reference" in log for log in logs) else "u"
     return arguments.choice("of", asked, ["u", "w"])
 
 
 def _known_disturbances(moves):
-    """Names of the disturbances that move in any log, and their moves in each of them.
+    """Return the names of the disturbances that move in any log, and their moves in each log.
 
     The moves are in units of their RMS, (trial, time, disturbance).
     """
@@ -145,7 +150,7 @@ def _known_disturbances(moves):
 
 
 def _loop_of(log, source):
-    """The loop that a log names, if it is one from w; else one without P."""
+    """Return the loop that a log names, if the input is w; else a loop without P."""
     outputs, units = log.output.values.tolist(), log.output_unit.values.tolist()
     named = loop_of(log) if source == "w" else None
     units = dict(zip(outputs, units, strict=True))
@@ -153,7 +158,7 @@ def _loop_of(log, source):
 
 
 def _moves(name, log, source):
-    """Inputs, outputs and known disturbances, from before each trial on."""
+    """Return inputs, outputs and known disturbances, relative to before each trial."""
     u, before, others = _inputs(name, log, source)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", log.y.values, (*u.shape[:2], "channel"))
@@ -162,18 +167,19 @@ def _moves(name, log, source):
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST_SAMPLES} or more"
         )
     known = _disturbances_of(name, log, y.shape[:2]) | others
-    if RESET in log.attrs:  # trials go on where the last one ended: one record
+    if RESET in log.attrs:  # trials continue where the last one ended: one record
         u, y, before = (signal.reshape(1, -1, signal.shape[2]) for signal in (u, y, before))
         known = {source: signal.reshape(1, -1) for source, signal in known.items()}
-    with np.errstate(over="ignore"):  # which check_moved refuses
+    with np.errstate(over="ignore"):  # check_moved refuses an overflow
         known = {source: _without_rounding(signal) for source, signal in known.items()}
         return _Moves(u - before[:, :1], y - y[:, :1], known, _titles(log, len(y), name))
 
 
 def _inputs(name, log, source):
-    """The inputs, and the signal whose first row is where they rest before a trial.
+    """Return the inputs, their rest before a trial, and known disturbances by name.
 
-    And, by name, the inputs of a loop that take a reference alone: known disturbances.
+    The first row of the second signal is where the inputs rest before a trial. Inputs of a loop
+    that take a reference alone are known disturbances.
     """
     if source == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
@@ -186,7 +192,7 @@ def _inputs(name, log, source):
     if loop is None and "input" in log.coords:
         raise LogError(f"{name} has a v of inputs, but names no loop that says what else they take")
     v = log.v.values if "v" in log else 0 * r
-    if limits and loop:  # v that asks for what was applied
+    if limits and loop:  # the v that corresponds to the applied commands
         asked = np.asarray(loop.asked(log))
         v = loop.realised(v, asked, Actuators.of(limits, loop).follow(asked))
     if loop is None or loop.one_for_one:
@@ -197,13 +203,13 @@ def _inputs(name, log, source):
 
 
 def _without_rounding(signal):
-    """The moves (trial, time) from each trial's first sample on; zero if they are rounding."""
+    """Return the moves (trial, time) from each trial's first sample; zero if only rounding."""
     moves = signal - signal[:, :1]
     return moves * (np.abs(moves).max() > ROUNDING_OF_DISTURBANCE * np.abs(signal).max())
 
 
 def _disturbances_of(name, log, shape):
-    """The known disturbances of a log, (trial, time) each, by name."""
+    """Return the known disturbances of a log by name, (trial, time) each."""
     if "disturbance" not in log:
         return {}
     signals = arguments.array(f"{name}.disturbance", log.disturbance.values, (*shape, "source"))
@@ -227,9 +233,9 @@ def _samples_of(delay, m):
 
 
 def check_moved(signals, names, what, remedy):
-    """Refuse signals, (trial, time, channel) of each record, one of which stands still.
+    """Refuse signals if one of them stands still; they are (trial, time, channel) per record.
 
-    A unit in which their moves are too large or too small for numbers is refused as well.
+    A unit in which the moves are too large or too small for floating-point numbers is also refused.
     """
     with np.errstate(over="ignore"):
         each = [np.abs(x - x[:, :1]).max(axis=(0, 1)) for x in signals]

@@ -1,4 +1,4 @@
-"""A table of a frequency response, and what is between its lines."""
+"""A table of a frequency response, and its interpolation between the table's frequencies."""
 
 import reprlib
 from dataclasses import dataclass, replace
@@ -13,16 +13,16 @@ from ilctools.response.measured import Measured, radius_of, with_phase
 
 @dataclass(frozen=True, repr=False)
 class TabulatedResponse(Measured):
-    """A table of a frequency response, with what is known of its accuracy.
+    """A table of a frequency response, with what is known about its accuracy.
 
-    The lines of a table that brings no radius count as exact; between them nothing is.
+    If a table has no radius, its values count as exact. Between its frequencies nothing is exact.
     """
 
-    estimated = False  # its unit is what its author says
+    estimated = False  # the author of the table determines its unit
     omega: np.ndarray  # rad/s, shape (n,)
     response: np.ndarray  # shape (n, p, m), complex
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
-    loop: ClosedLoop | None  # names and sampling period, if the table says one
+    loop: ClosedLoop | None  # names and sampling period, if the table states a period
 
     def _radius(self, confidence, jointly):
         return self.uncertainty
@@ -43,7 +43,7 @@ class TabulatedResponse(Measured):
 
 
 def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> TabulatedResponse:
-    """From python-control's frequency response data."""
+    """Make a tabulated response from python-control's frequency response data."""
     omega = arguments.array("log.omega", table.omega, ("frequency",))
     if len(omega) < 4 or omega[0] <= 0 or np.any(np.diff(omega) <= 0):
         raise ValueError(
@@ -57,7 +57,7 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     radius = radius_of(0.0 if uncertainty is None else uncertainty, P)
     timed = table.dt and table.dt is not True
     names = {"outputs": table.output_labels}
-    if table.ninputs != table.noutputs:  # else v is added to references
+    if table.ninputs != table.noutputs:  # otherwise v is added to the references
         names |= {"references": {}, "learned": table.input_labels}
     loop = ClosedLoop(None, table.dt, **names) if timed else None
     return TabulatedResponse(omega, P, radius, loop)

@@ -1,9 +1,9 @@
-"""Within which bounds a learning filter is sought: each is a claim that its certificate must hold.
+"""The bounds on a learning filter, each of which is a claim that the certificate checks.
 
     sigma_max(M) <= M_max,    sigma_max(L) <= L_max,    sigma_max(L) <= gain above a frequency.
 
-Who adds a bound adds a claim here. The solver asks :meth:`Bounds.limit_on_L` or for M_max; grid,
-certificate and messages go through :attr:`Bounds.claims`, so that none of them can leave one out.
+A new bound is added as a claim here. The solver uses :meth:`Bounds.limit_on_L` and M_max. Grid,
+certificate and messages go through :attr:`Bounds.claims`, so that no bound can be left out.
 """
 
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ import numpy as np
 
 
 class Claim(NamedTuple):
-    """One bound, as it was asked for."""
+    """One bound, as stated by the user."""
 
     name: str  # the argument of `synthesise`
     matrix: str  # "M" or "L", whose largest singular value is bounded
     limit: float
-    lowest: float = 0.0  # rad/s, the frequency from which on it holds
+    lowest: float = 0.0  # rad/s: the bound holds from this frequency on
 
     @property
     def what(self) -> str:
@@ -27,7 +27,7 @@ class Claim(NamedTuple):
         return f"sigma_max({self.matrix}){above}"
 
     def holds_at(self, omega) -> np.ndarray:
-        """At which frequencies it is a bound, (n,)."""
+        """Return at which frequencies the bound holds, (n,)."""
         return np.asarray(omega) >= self.lowest
 
     def __str__(self):
@@ -47,7 +47,7 @@ class Bounds:
 
     @property
     def claims(self) -> tuple[Claim, ...]:
-        """Each bound by itself."""
+        """The bounds, one claim for each."""
         claims = [Claim("M_max", "M", self.M_max)]
         if self.L_max is not None:
             claims.append(Claim("L_max", "L", self.L_max))
@@ -57,16 +57,16 @@ class Bounds:
         return tuple(claims)
 
     def on(self, matrix: str) -> list[Claim]:
-        """The claims on M, or on L."""
+        """Return the claims on M, or on L."""
         return [claim for claim in self.claims if claim.matrix == matrix]
 
     def limit_on_L(self, omega) -> np.ndarray:
-        """The least of the limits on sigma_max(L) at each frequency, (n,); infinite if none is."""
+        """Return the least limit on sigma_max(L) at each frequency, (n,); infinite without one."""
         each = [np.where(claim.holds_at(omega), claim.limit, np.inf) for claim in self.on("L")]
         return np.min([np.full(len(omega), np.inf), *each], axis=0)
 
     def lowered(self, shrink: float, M: bool) -> "Bounds":
-        """Limits times a number below one, for the values on a grid; M_max only if `M` says so."""
+        """Return all limits times `shrink`, for a grid; M_max changes only if `M` is true."""
         return replace(
             self,
             M_max=self.M_max * (shrink if M else 1),

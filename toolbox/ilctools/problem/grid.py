@@ -1,10 +1,10 @@
-"""The grids on which bounds are bounds at every frequency.
+"""Grids that are dense enough for bounds on the grid to hold at every frequency.
 
-With steps of h at most in the phase of the poles of Q, P and L, see :mod:`.evidence.peak`, what is
-M_max cos(h / 2) at most on a grid is M_max at most between its frequencies, and so is L. Samples
-have no poles: between two of them the grid has FREQUENCIES_PER_SAMPLE, or as many as the poles of L
-ask for.
-Below the first sample no bound on M is added: the certificate alone says what may happen there.
+The steps of a grid are at most h in the phase of the poles of Q, P and L, see
+:mod:`.evidence.peak`. If sigma_max(M) is at most M_max cos(h / 2) on the grid, it is at most M_max
+between its frequencies. The same holds for L. Samples have no poles. Between two samples the grid
+has FREQUENCIES_PER_SAMPLE frequencies, or as many as the poles of L need.
+Below the first sample no bound on M is added. Only the certificate shows what may happen there.
 """
 
 from dataclasses import replace
@@ -17,18 +17,19 @@ from ilctools.problem.problem import Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.singular_values import largest_singular_values
 
-# h, with a proof and else: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
+# h with a proof, and h without: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
 PROVEN_PHASE_STEP, ESTIMATED_PHASE_STEP = 0.01, 0.05
-MOST_ON_A_GRID = 30_000  # frequencies; of a base of thousands of samples the steps are larger
-COARSE_PHASE_STEP = np.pi / 2  # of L: between such steps L passes its bound by 8 % at most
-FREQUENCIES_PER_SAMPLE = 10  # between two of them
+MOST_ON_A_GRID = 30_000  # frequencies; with a base of thousands of samples the steps are larger
+COARSE_PHASE_STEP = np.pi / 2  # of L: between such steps L exceeds its bound by 8 % at most
+FREQUENCIES_PER_SAMPLE = 10  # between two samples
 
 
 def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
-    """The problem at all frequencies at which it needs bounds, and which of them were stated.
+    """Return the problem at all frequencies that need bounds, and which of them were stated.
 
-    With `everywhere` these are bounds on M and L. Else they are bounds on L, if omega is coarse for
-    it, and above the last sample of P, where only its size is known.
+    With `everywhere`, M and L are bounded between the frequencies. Otherwise L is bounded between
+    them if omega is coarse for L. Bounds are also added above the last sample of P, where only the
+    size of P is known.
     """
     between = problem.bounds.everywhere or _is_coarse(problem)
     if not between and problem.response.beyond is None:
@@ -44,18 +45,18 @@ class Dense(NamedTuple):
     """A grid that is dense in the phase of what is bounded."""
 
     theta: np.ndarray  # angles from 0 to pi
-    shrink: float  # cos(h / 2), h its largest step: what a limit is on the grid, as a share
+    shrink: float  # cos(h / 2), with the largest step h: factor on limits on the grid
 
 
 def _is_coarse(problem):
-    """Whether L may pass a bound between the stated frequencies."""
+    """Whether L may exceed a bound between the stated frequencies."""
     ends = np.concatenate([[0], problem.response.angles, [np.pi]])
     step = np.diff(phase(problem.poles_of_L, ends)).max()
     return step > COARSE_PHASE_STEP and bool(problem.bounds.on("L"))
 
 
 def _bounded_between(problem, dense) -> Problem:
-    """The problem with bounds between its frequencies, too, where P is known."""
+    """The problem with bounds also between its frequencies, where P is known."""
     everywhere, stated = problem.bounds.everywhere, problem.omega
     denser = stated
     if everywhere and not problem.proven:
@@ -70,14 +71,14 @@ def _bounded_between(problem, dense) -> Problem:
 
 
 def _bounded_above(grid, problem, dense) -> Problem:
-    """A grid of the problem with bounds above the last sample of P, too."""
+    """A grid of the problem with bounds also above the last sample of P."""
     last, omega = problem.omega[-1], dense.theta / problem.Ts
     omega = np.append(np.nextafter(last, np.inf), omega[omega > last])
     return _joined(grid, omega, *_above(problem, omega, grid.M_max, dense.shrink))
 
 
 def _dense(problem) -> Dense:
-    """The grid for the poles of L, and with `everywhere` for those of P and Q, too."""
+    """The grid for the poles of L; with `everywhere`, also for the poles of P and Q."""
     of_L, lowpass = problem.poles_of_L, problem.lowpass
     step, systems = ESTIMATED_PHASE_STEP, [of_L]
     if problem.bounds.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
@@ -107,20 +108,20 @@ def _known(response, omega):
 
 
 def _above(problem, omega, M_max, shrink):
-    """The same above the last sample, where P is zero with a radius, its size there."""
+    """P, Q and radius above the last sample: P is zero, and the radius is the size of P."""
     response = problem.response
-    # M must keep its bound between these, too: Q falls, and L is larger by 1 / shrink
+    # M must also keep its bound between these frequencies: Q falls, L is larger by 1 / shrink
     before = np.append(response.omega[-1], omega[:-1])
     Q = np.abs(problem.lowpass.frequency_response(before))
     P, radius = _known(response, omega)
     sizes = np.array([largest_singular_values(of_one) for of_one in P])
     radius = (sizes + radius).max(axis=0) / shrink
-    bounded = M_max > Q  # else no filter does: see `findings`
+    bounded = M_max > Q  # else no filter keeps the bound: see `findings`
     return 0 * P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
 
 
 def _joined(problem, omega, P, Q, radius):
-    """The problem at further frequencies, too, none of which counts in the objective."""
+    """The problem with further frequencies, which do not count in the objective."""
     response = problem.response
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
@@ -140,7 +141,7 @@ def _joined(problem, omega, P, Q, radius):
 
 
 def part(problem: Problem, chosen) -> Problem:
-    """The problem at some of its frequencies, (n,) bool."""
+    """Return the problem at some of its frequencies, chosen by (n,) bool."""
     objective = replace(problem.objective, weights=problem.objective.weights[chosen])
     response, Q = problem.response.at(chosen), problem.Q[chosen]
     return replace(problem, response=response, Q=Q, objective=objective)

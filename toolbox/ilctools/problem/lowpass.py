@@ -16,18 +16,18 @@ IMAGINARY = 1e-6  # relative: imaginary part that the rounding of samples may le
 
 @dataclass(frozen=True, eq=False)
 class SampledQ:
-    """Q by its samples: splined between, and beyond their ends as there."""
+    """Q by its samples, with splines between them and constant values beyond their ends."""
 
     omega: np.ndarray  # (n,), rad/s
     samples: np.ndarray  # (n,)
 
     @property
     def cutoff(self) -> float:
-        """Where the samples are down to one half for good, rad/s."""
+        """The frequency above which the samples stay below one half, rad/s."""
         return defaults.cutoff(self.samples, self.omega)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Q at some frequencies, (k,)."""
+        """Return Q at some frequencies, (k,)."""
         return self._as_response.at(np.maximum(omega, self.omega[0]))[0][:, 0, 0]
 
     @cached_property
@@ -36,7 +36,7 @@ class SampledQ:
 
 
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
-    """The filter Q, or its samples on omega as one."""
+    """Check Q, and return the filter, or a filter made of its samples on omega."""
     known = isinstance(Q, ZeroPhaseButterworth | SampledQ)
     samples = Q.frequency_response(omega) if known else Q
     samples = arguments.array("Q", samples, (len(omega),), complex)

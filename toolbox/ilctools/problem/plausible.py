@@ -1,20 +1,22 @@
 """Does a table look like P: in rad/s, and with its sign? And P at rest, in words.
 
-Nothing in a table says in which unit its frequencies are, or from where to where it was measured.
-What follows is asked of tables alone, as questions: each of them has an answer that is no mistake.
-The print shows P at rest, too: the sensitivity I - P is near 0 there, and an inverse is not P.
+Nothing in a table shows the unit of its frequencies, or between which signals it was measured. The
+following doubts concern tables alone, and are stated as questions, as each one may be no mistake.
+The print also shows P at rest. There the sensitivity I - P is near 0, and an inverse is not P.
 
 **Unit.** A table in Hz ends just below 1 / (2 Ts), at the last line of a transform or at nine
 tenths of the Nyquist frequency. In rad/s this number means nothing: few tables end there by chance.
 If a table ends there exactly, P in Hz is real there. A table that is not real, by more than noise,
-is then in rad/s. Elsewhere the phase does not decide. Other units turn a delay of one sample into
-one of six, which is a plant, too. Rational functions of z = exp(j omega Ts) with up to four poles
-were tried. Some ten of 44 plants they fit three times better in Hz and more, although the table is
-in rad/s and ends at a tenth of the Nyquist frequency: they resolve slow poles better there.
+is then in rad/s. At other ends the phase does not decide. Other units turn a delay of one sample
+into a delay of six samples, which is also possible. Rational functions of z = exp(j omega Ts) with
+up to four poles were tried. For some ten of 44 plants, these functions fit at least three times
+better in Hz, although the table is in rad/s. These tables end at a tenth of the Nyquist frequency,
+and the functions resolve slow poles better there.
 
-**Rest.** What tracks a reference has the gain one at rest. A gain of minus one there is a sign.
-A loop whose observer integrates has the identity at rest, whatever the plant is. If a response that
-was measured in it is another one, something else than this loop was at work.
+**Rest.** A plant that tracks a reference has the gain one at rest. A gain of minus one there is a
+wrong sign. A loop whose observer integrates has the identity at rest, whatever the plant is. If a
+response that was measured in such a loop differs from the identity, something
+other than this loop was at work.
 """
 
 import numpy as np
@@ -25,23 +27,23 @@ from ilctools.problem.defaults import lead
 from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
-NEAR_NYQUIST = 0.85  # of 1 / (2 Ts), from which on the end of a table looks like one in Hz
-PAST_NYQUIST = 1e-3  # by which a table in Hz may pass 1 / (2 Ts)
-NOISE_OF_PHASE = 0.05  # of the largest gain, up to which an imaginary part may be noise
+NEAR_NYQUIST = 0.85  # of 1 / (2 Ts): a table that ends above looks like one in Hz
+PAST_NYQUIST = 1e-3  # relative, by which a table in Hz may exceed 1 / (2 Ts)
+NOISE_OF_PHASE = 0.05  # of the largest gain: a smaller imaginary part may be noise
 FAR_FROM_ONE = 0.3  # of a gain of one, at rest
-# rad, of the phase of P in the mean, from which on its sign is taken to be wrong
+# rad, mean lead of the phase of P, above which the sign of the phase counts as wrong
 LEAD_DOUBTED = 0.5
-TURNED_PHASE = 0.2  # rad, of a phase that is worth its digits
+TURNED_PHASE = 0.2  # rad: smaller phases are not printed
 ROUNDED_TO_ZERO = 1e-9  # of the largest gain: rounding
 
 
 def doubts(response: Response) -> list[Finding]:
-    """What speaks against the nominal plant as it was passed."""
+    """Return the findings against the nominal plant as it was passed."""
     return [*_of_signals(response), *_of_tables(response)]
 
 
 def _of_signals(response):
-    """Outputs in several units that count alike, and directions that P does not pass."""
+    """Findings if outputs in several units count alike, or if P does not pass all directions."""
     (outputs, inputs), signals = response.names, response.signals
     units = {signals.units.get(name, "") for name in outputs} - {""}
     if len(units) > 1 and response.scale.is_one:
@@ -53,7 +55,7 @@ def _of_signals(response):
 
 
 def _of_tables(response):
-    """What is doubted of a table, or of a response where its loop makes it the identity."""
+    """Findings against a table, or against a response whose loop makes it the identity."""
     P, omega = response.P[0], response.omega
     at_first = f"at {omega[0]:.4g} rad/s"
     is_table = response.models[0] is None and response.low is None
@@ -73,16 +75,16 @@ def _of_tables(response):
 
 
 def _ends_as_in_hertz(P, omega, Ts):
-    """Whether a table ends where one in Hz does, and does not turn where P in Hz would be real."""
+    """Whether a table ends as one in Hz does, and is real if P in Hz has to be real there."""
     end = omega[-1] * 2 * Ts
     turns = np.abs(P[-1].imag).max() > NOISE_OF_PHASE * np.abs(P).max()
     return NEAR_NYQUIST <= end <= 1 + PAST_NYQUIST and not (turns and end > 1 - PAST_NYQUIST)
 
 
 def at_rest_in_words(response: Response) -> str:
-    """The nominal P at rest, or at its lowest frequency: the gain of each channel to itself.
+    """Describe the nominal P at rest, or at its lowest frequency, by the gain of each channel.
 
-    With other numbers of inputs than of outputs, its singular values.
+    If the numbers of inputs and outputs differ, the singular values are given instead.
     """
     model, omega = response.models[0], response.omega[0]
     if model is not None:
@@ -99,7 +101,7 @@ def at_rest_in_words(response: Response) -> str:
 
 
 def _number(value, rounding):
-    """A gain with its sign, or with its phase where that is neither 0 nor 180 degrees."""
+    """A gain with its sign, or with its phase if this is neither 0 nor 180 degrees."""
     if np.abs(value) < rounding:
         return "0"
     if np.abs(value.imag) < TURNED_PHASE * np.abs(value):

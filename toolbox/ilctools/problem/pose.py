@@ -1,4 +1,4 @@
-"""Stating a problem, each argument checked."""
+"""State a problem, and check each argument."""
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from ilctools.problem.reference import error_weights, first_error, reachable
 from ilctools.response.response import SAME_ANGLE, Response
 from ilctools.singular_values import largest_singular_values
 
-STATES = 100  # of the models in B: as many take a second, and B is a finite filter
-SINGULAR = 1e-12  # of the largest singular value: what is less is rounding
-LONGEST_FILTER = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
+STATES = 100  # of the models in B: so many take a second; with more, B is a finite filter
+SINGULAR = 1e-12  # of the largest singular value: smaller values are rounding
+LONGEST_FILTER = 300  # samples of a filter: 16 s for one channel; the time grows as their cube
 
 
 def pose(
@@ -64,7 +64,7 @@ def pose(
 
 
 def _asked_base(base, order, response):
-    """The base as asked for: "auto", a share or None; of a square P, an order means None."""
+    """The base as asked for: "auto", a share or None; for a square P, an order means None."""
     if base == defaults.CHOOSE:
         p, m = response.P.shape[2:]
         return None if p == m and order is not None else base
@@ -74,7 +74,7 @@ def _asked_base(base, order, response):
 
 
 def _asked_structure(structure, response):
-    """The structure; a diagonal one is for as many inputs as outputs."""
+    """The structure; a diagonal one needs as many inputs as outputs."""
     p, m = response.P.shape[2:]
     if arguments.choice("structure", structure, ["diagonal", "full"]) == "diagonal" and p != m:
         raise needs_square("structure = 'diagonal'", p, m)
@@ -82,22 +82,22 @@ def _asked_structure(structure, response):
 
 
 def needs_square(what: str, p: int, m: int) -> ValueError:
-    """The error of what is for as many learned inputs as outputs, of a plant with other numbers."""
+    """Return the error if `what` needs as many inputs as outputs, but P has other numbers."""
     return ValueError(
         f"{what} needs as many learned inputs as outputs, but P has {m} and {p}: leave it out"
     )
 
 
 def checked_M_max(M_max) -> float:
-    """The bound on sigma_max(M), in (0, 1)."""
+    """Check the bound on sigma_max(M), in (0, 1)."""
     return arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
 
 
 def _base(response, lowpass, structure, share, L_max, reach, chosen):
-    """B of L = B K; b is 1 / (2 L_max), or a share of sigma_max(P).
+    """B of L = B K, with b = 1 / (2 L_max), or a share of the largest sigma_max(P).
 
-    That is up to Q's cut-off. In the first case B is of all plants, and keeps L_max by itself:
-    K = 1 will do.
+    The largest sigma_max(P) is taken up to Q's cut-off. In the first case B is made for all plants,
+    and keeps L_max with K = 1.
     """
     pooled = share == defaults.CHOOSE
     if pooled:
@@ -151,7 +151,7 @@ def _order(response, cutoff, order, base, chosen):
 
 
 def _objective(response, cutoff, Q, kind, band, reference, chosen):
-    """What is minimised: a sum in a band, or weighted by the first error of a reference; a peak."""
+    """The objective: a sum, in a band or weighted by the first error of a reference; or a peak."""
     summed = arguments.choice("objective", kind, ["sum", "peak"]) == "sum"
     error = None
     if reference is None:
@@ -178,7 +178,7 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
 
 
 def _of_band(omega, cutoff, band, summed, chosen):
-    """The band, and weights that are one within; it must lie within omega if there is a sum."""
+    """The band, and weights of one within; for a sum, the band must lie within omega."""
     if band is None:
         band = defaults.band(cutoff, omega)
         if summed:
@@ -220,9 +220,9 @@ def _bound_from(L_high, response):
 
 
 def _gain(response, lowpass, M_max, pooled):
-    """The default bound on L; `pooled` says that it decides b of L = B."""
+    """The default bound on L; if `pooled`, it decides b of L = B."""
     omega, cutoff = response.omega, lowpass.cutoff
-    # What is not known beyond its radius is not worth inverting.
+    # A singular value below the radius is not worth inverting.
     smallest = np.maximum(_smallest_singular_values(response, cutoff), response.radii)
     if not pooled:
         return defaults.gain(cutoff, smallest, omega)
@@ -231,9 +231,9 @@ def _gain(response, lowpass, M_max, pooled):
 
 
 def _smallest_singular_values(response, cutoff):
-    """Of the nominal plant at each frequency, which must not be singular, shape (n,)."""
+    """Least singular value of the nominal plant, (n,), which must not be singular anywhere."""
     omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
-    # in any direction, or altogether against what P passes elsewhere
+    # up to the cut-off relative to the largest anywhere, above it relative to the largest there
     size = np.where(omega <= cutoff, singular_values.max(), singular_values[:, 0])
     singular = np.flatnonzero(singular_values[:, -1] <= SINGULAR * size)
     if singular.size:
@@ -242,7 +242,7 @@ def _smallest_singular_values(response, cutoff):
 
 
 def refuse_singular(response):
-    """Refuse plants that are singular at each frequency: there is no cut-off to choose for them."""
+    """Refuse plants that are singular at each frequency, as no cut-off can be chosen."""
     for k, P in enumerate(response.P):
         values = np.linalg.svd(P, compute_uv=False)
         if np.all(values[:, -1] <= SINGULAR * values.max()):

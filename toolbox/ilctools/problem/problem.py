@@ -1,18 +1,20 @@
 """What is asked of the learning filter: the problems (39), (45), (46) as one checked object.
 
-:func:`.pose.pose` states a problem and checks it; solvers and evidence take it whole.
-Frequency responses have the frequency first. The channels of P, L and M are in units of `scale`,
-so that singular values compare what counts as equally large.
+:func:`.pose.pose` states and checks a problem. Solvers and evidence use this one object.
+Frequency responses have the frequency as their first dimension. The channels of P, L and M are in
+units of `scale`, so that singular values compare what counts as equally large.
 
 P has p outputs and m learned inputs. Trials contract on the side that has fewer channels,
 
     M = Q (I - P L)   of the error, if m >= p,    M = Q (I - L P)   of v, if m < p.
 
-The second is the first of P^T and L^T, transposed. So the solver always meets G = F + T K with
-square K: for m >= p with P B K, for m < p, where L = K B, with P^T B^T K^T.
+The second M is the transpose of the first M for P^T and L^T. The solver therefore always has
+G = F + T K with a square K. For m >= p, G contains P B K. For m < p, L = K B, and G contains
+P^T B^T K^T.
 
-M is affine in P. A bound on it for several plants, or for all within a radius of them, is as convex
-as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
+M is affine in P. A bound on M for several plants, or for all plants within a radius, is therefore
+as convex as a bound for one plant. The aim is *fast for the plant that one believes in, convergent
+for all that cannot be excluded*.
 """
 
 from dataclasses import dataclass, replace
@@ -31,31 +33,32 @@ from ilctools.response.samples import Assumed
 from ilctools.response.scale import Scale
 from ilctools.singular_values import largest_singular_values
 
-K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
-MOST_GAIN = 1e7  # of Q P L: beyond it coefficients in doubles no longer determine M to about 1e-9
+K_MAX = 4.0  # bound on sigma_max(K): more would show at the ends of a trial, which cut off K e
+MOST_GAIN = 1e7  # of Q P L: above, coefficients in doubles no longer determine M to about 1e-9
 
 
 @dataclass(frozen=True)
 class Objective:
-    """What is minimised."""
+    """The objective that is minimised."""
 
     # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
     kind: str
     weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
-    # over which "sum" sums, rad/s; None if a reference weights it: then there are angles, (k,), and
-    # the spectrum of the first trial's error at them, (k, m), see `reference`
+    # band of sum, rad/s; None if a reference weights the sum: `first_error` then has angles (k,)
+    # and the spectrum of the first trial's error at these angles, (k, m), see `reference`
     band: tuple[float, float] | None = None
     first_error: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def summed(self) -> np.ndarray:
-        """Which frequencies count in the sum, (n,)."""
+        """The frequencies that count in the sum, (n,), bool."""
         return (self.weights > 0) & (self.kind == "sum")
 
     def value(self, sigma_M, worst=None) -> float:
-        """The objective, from the largest singular value of M at each frequency.
+        """Return the objective, from the largest singular value of M at each frequency.
 
-        `worst`, for the peak: the largest over all plants; by default that of the nominal one.
+        For the peak, `worst` (n,) is the largest singular value over all plants. Default: the
+        value `sigma_M` of the nominal plant.
         """
         if self.kind == "sum":
             return float((self.weights * sigma_M)[self.summed].sum())  # (39)
@@ -64,22 +67,22 @@ class Objective:
 
 @dataclass(frozen=True)
 class Problem:
-    """The problem of a learning filter. Made by :func:`.pose.pose`, at the design frequencies.
+    """The design problem of a learning filter. :func:`.pose.pose` makes it.
 
-    M and L are bounded at `omega`; where Q is zero, L alone.
+    M and L are bounded at the design frequencies `omega`. Where Q is zero, only L is bounded.
     """
 
     response: Response  # what is known of P
     lowpass: ZeroPhaseButterworth | SampledQ
-    Q: np.ndarray  # (n,): its response at the frequencies; zero where L alone is bounded
+    Q: np.ndarray  # (n,): its response at omega; zero where only L is bounded
     objective: Objective
     bounds: Bounds
-    order: int  # number of samples that the learning filter looks ahead, or of those of K
+    order: int  # samples that the learning filter looks ahead, or samples of K
     structure: str = "full"  # or "diagonal"
     base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
     formula_will_do: bool = False  # whether L = B is wanted, if it keeps all bounds
-    defaults_chosen: tuple[str, ...] = ()  # by default, in words
-    costs: tuple[Finding, ...] = ()  # of what was chosen, where they are large
+    defaults_chosen: tuple[str, ...] = ()  # the defaults that were chosen, in words
+    costs: tuple[Finding, ...] = ()  # large costs of what was chosen
 
     @property
     def M_max(self) -> float:
@@ -128,16 +131,16 @@ class Problem:
 
     @property
     def of_v(self) -> bool:
-        """Whether M is of v and not of the error: there are fewer learned inputs than outputs."""
+        """Whether M acts on v, not on the error: there are fewer learned inputs than outputs."""
         return self.m < self.p
 
     def turned(self, X) -> np.ndarray:
-        """P, L or B at some frequencies as the solver has them: transposed, if M is of v."""
+        """Return P, L or B as the solver uses them: transposed if M acts on v."""
         return X.swapaxes(-2, -1) if self.of_v else X
 
     @property
     def radius(self) -> np.ndarray | None:
-        """Bounds hold for P + Delta, ||Delta|| <= radius, (n,); None for P alone."""
+        """Radius r, (n,): bounds hold for P + Delta, ||Delta|| <= r; None: for P alone."""
         return self.response.radius
 
     @property
@@ -147,13 +150,13 @@ class Problem:
 
     @property
     def proven(self) -> bool:
-        """Whether P and Q are known between the frequencies, too: models without a radius."""
+        """Whether P and Q are also known between the frequencies, as models without a radius."""
         exact = self.radius is None and not self.response.sampled
         return exact and isinstance(self.lowpass, ZeroPhaseButterworth)
 
     @property
     def channels(self) -> int:
-        """Number of channels on the side on which trials contract, the lesser of p and m."""
+        """Number of channels on the side on which trials contract: the smaller of p and m."""
         return min(self.p, self.m)
 
     @property
@@ -162,15 +165,16 @@ class Problem:
         return self.objective.value(np.abs(self.Q))
 
     def gap_scale(self, value) -> float:
-        """Scale of relative gaps: the objective, at least a hundredth of that for L = 0.
+        """Return the scale of relative gaps: the objective, or a hundredth of it for L = 0.
 
-        Below that, learning leaves next to nothing after one trial, and rounding decides the rest.
+        The larger of both counts. Below this hundredth, one trial leaves next to nothing, and
+        rounding decides the rest.
         """
         return max(value, 1e-2 * self.idle)
 
     @property
     def delay_samples(self) -> int:
-        """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
+        """Delay of P at the cut-off of Q, in samples, see :mod:`.problem.defaults`."""
         return defaults.delay(self.P, self.omega, self.Ts, self.lowpass.cutoff)
 
     @property
@@ -180,7 +184,7 @@ class Problem:
 
     @property
     def singular_within_radius(self) -> np.ndarray:
-        """Whether the radius admits a singular plant, at each frequency, shape (n,)."""
+        """Whether the radius contains a singular plant, at each frequency, shape (n,)."""
         # In some direction no learning filter acts on such a plant: sigma_max(M) >= |Q|.
         if self.radius is None:
             return np.zeros(len(self.omega), dtype=bool)
@@ -188,14 +192,15 @@ class Problem:
         return self.radius >= smallest
 
     def M(self, L, number: int = 0) -> np.ndarray:
-        """M of a plant at `omega`, from the response of L there."""
+        """Return M of a plant at `omega`, from the response of L there."""
         return convergence_matrix(self.plants[number], self.Q, L)
 
     def affine(self, plant, at, radius) -> tuple[np.ndarray, np.ndarray]:
-        """F and T of G = F + T K for plants and frequencies, by number, with a radius or None.
+        """Return F and T of G = F + T K for plants and frequencies, which are given by number.
 
-        G is M = Q I - Q P L, or with a radius [M; |Q| r L], see :class:`Cuts`. Where P has fewer
-        outputs than inputs, L = B K with B = U R, U* U = I, has the singular values of R K.
+        Without a radius, G is M = Q I - Q P L. With a radius r, G is [M; |Q| r L], see
+        :class:`Cuts`. If P has fewer outputs than inputs, let B = U R with U* U = I. L = B K then
+        has the singular values of R K.
         """
         identity, Q = np.eye(self.channels), self.Q[at, None, None]
         T = self.through_base(-Q * self.turned(self.plants[plant, at]), at)
@@ -207,11 +212,12 @@ class Problem:
 
     @cached_property
     def L_bound(self) -> np.ndarray:
-        """W, shape (n, m, m): sigma_max(W L) <= 1 is all bounds on L; or W K those on K.
+        """W of the bounds on L, shape (n, m, m): sigma_max(W L) <= 1 expresses all bounds.
 
-        That is I over the least limit at each frequency, (46). Without a bound, coefficients in
-        doubles determine M to about 1e-9 only up to a gain of 1e7 of Q P L, counted for each input
-        by itself: that is then the bound. The least gain has L_max alone, see `L_bound_beside`.
+        With a base, sigma_max(W K) <= 1 expresses the bounds on K. Without a base, W is I over the
+        least limit at each frequency, (46). If L has no bound, coefficients in doubles determine M
+        to about 1e-9 only up to a gain of 1e7 of Q P L, for each input by itself. The bound is then
+        this gain. For the least gain, W contains L_max alone, see `L_bound_beside`.
         """
         bounds, identity = self.bounds, np.eye(self.channels)
         if self.objective.kind == "gain":
@@ -229,31 +235,31 @@ class Problem:
 
     @property
     def L_bound_beside(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where L has a bound beside the gain that is minimised, by number, and W, (k, m, m)."""
+        """Numbers of the frequencies at which L has a further bound, and W, (k, m, m)."""
         limit = replace(self.bounds, L_max=None).limit_on_L(self.omega)
         at = np.flatnonzero(np.isfinite(limit) & (self.objective.kind == "gain"))
         return at, np.eye(self.channels) / limit[at, None, None]
 
     @property
     def first_sample(self) -> int:
-        """The first sample of L, or of K: a K looks as far back as ahead."""
+        """The first sample of L, or of K, which looks as far back as ahead."""
         return 1 if self.base is None else -((self.order - 1) // 2)
 
     @cached_property
     def of_K(self) -> np.ndarray | None:
-        """What L, turned, is for K = z at omega, in units of `scale`; None if L is K."""
+        """The turned L for K = z at omega, in units of `scale`; None if L is K."""
         if self.base is None:
             return None
         shift = np.exp(1j * (self.first_sample - 1) * self.omega * self.Ts)
         return self.turned(self.base.frequency_response(self.omega)) * shift[:, None, None]
 
     def through_base(self, T, at):
-        """T of G = F + T L as that of G = F + T K / z^(first_sample - 1), at numbers of omega."""
+        """Turn T of G = F + T L into T of G = F + T K / z^(first_sample - 1), at some omega."""
         return T if self.base is None else T @ self.of_K[at]
 
     @property
     def assumptions(self) -> tuple[str | Assumed, ...]:
-        """What was chosen by default, and what P, its radius and Q rest on between samples."""
+        """The defaults that were chosen, and the assumptions on P, its radius and Q."""
         more, response, lost = [], self.response, self.singular_within_radius
         chosen = [f"chosen: {'; '.join(self.defaults_chosen)}"] if self.defaults_chosen else []
         if isinstance(self.lowpass, SampledQ):
@@ -271,15 +277,15 @@ class Problem:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Why the bounds cannot hold where P is not known."""
+        """The reason why the bounds cannot hold where P is not known; empty if they can."""
         Q = np.abs(self.Q[-1])
         if self.response.beyond is None or self.M_max > Q:
             return ()
         return (Finding("unmeasured", Q, self.M_max, f"above {self.omega[-1]:.4g} rad/s"),)
 
     def scaled_filter(self, coefficients) -> Filter:
-        """The learning filter of coefficients of L, or of K, in units of `scale` as they are."""
-        # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
+        """Return the learning filter with coefficients of L, or of K, all in units of `scale`."""
+        # B of a model takes account of the end of a trial: K must not cut off the error there
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
         K = LearningFilter(coefficients, self.Ts, ends, self.first_sample)
         if self.base is None:
@@ -290,22 +296,22 @@ class Problem:
 
     @property
     def poles_of_L(self) -> np.ndarray:
-        """Those of each filter of this order, see :mod:`.evidence.peak`."""
+        """The poles of any filter of this order, see :mod:`.evidence.peak`."""
         return self.scaled_filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def K(self, solution: "Solution") -> np.ndarray:
-        """Response of K / z^(first_sample - 1), turned, or of L without a base, at omega."""
+        """Return the turned response of K / z^(first_sample - 1) at omega; without a base, of L."""
         return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
 
     def L(self, solution: "Solution") -> np.ndarray:
-        """Response of a solution's filter at omega, (n, m, p), in units of `scale`."""
+        """Return the response of a solution's filter at omega, (n, m, p), in units of `scale`."""
         K = self.K(solution)
         return K if self.base is None else self.turned(self.of_K @ K)
 
 
 @dataclass(frozen=True)
 class Cuts:
-    """Bounds on G = M for other plants, and on G = [M; |Q| r L] for a radius r, as multipliers."""
+    """Multipliers of bounds on G = M for other plants, or on G = [M; |Q| r L] for a radius r."""
 
     plant: np.ndarray  # (c,): number of the plant of each bound
     frequency: np.ndarray  # (c,): index of its frequency
@@ -322,13 +328,13 @@ class Solution:
     U: np.ndarray
     V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain
-    cuts: Cuts | None = None  # what was needed of them
+    cuts: Cuts | None = None  # the cuts that were needed
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """M from responses P, (..., n, p, m), L, (..., n, m, p), and Q, (n,).
+    """Return M from responses P (..., n, p, m), L (..., n, m, p) and Q (n,).
 
-    M = P Q (P^-1 - L) = Q (I - P L); with fewer inputs than outputs, Q (I - L P).
+    M = P Q (P^-1 - L) = Q (I - P L). With fewer inputs than outputs, M = Q (I - L P).
     """
     PL = P @ L if P.shape[-1] >= P.shape[-2] else L @ P
     return Q[:, None, None] * (np.eye(PL.shape[-1]) - PL)  # (36), (40)

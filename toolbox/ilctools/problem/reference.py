@@ -1,13 +1,14 @@
-"""What is to be learned of a reference: the spectrum of the first error, e_1 = (I - P) r.
+"""What is to be learned for a reference: the spectrum of the first error, e_1 = (I - P) r.
 
-Where v is not added to references one for one, it is e_1 = (I - P_r) r, with P_r for what the loop
-makes of references; zero, where that is not known.
+If v is not added to references one for one, the first error is e_1 = (I - P_r) r. Here P_r is the
+response of the loop to references, which counts as zero if it is not known.
 
 With E(w) = sum_p e_1(p) exp(-j w p), w = omega Ts, Parseval's theorem is
 
     1/N sum_p e_1(p) e_1(p)' = 1 / (pi N) Re integral_0^pi E(w) E(w)* dw.
 
-The integral between the middles of neighbouring frequencies is the power of e_1 at each of them.
+For each frequency, take the integral from the middle below to the middle above, between neighbours.
+The result is the power of e_1 at this frequency.
 """
 
 import numpy as np
@@ -16,16 +17,17 @@ from scipy.integrate import cumulative_trapezoid, trapezoid
 
 from ilctools.models import frequency_response
 
-FINER = 16  # times the signal's own lines are summed, so that a narrow line is not missed
-FADING = 10  # trials are so much longer than an error at their end takes to fade without a jump
+FINER = 16  # times as many lines as the signal has are summed, so that no narrow line is missed
+FADING = 10  # a trial is so many times as long as an error at its end takes to fade out
 TRIALS = 10  # whose error is predicted
 
 
 def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
-    """Angles omega Ts from 0 to pi, and the spectrum E of e_1 at them, (angle, m).
+    """Return angles omega Ts from 0 to pi, and the spectrum E of e_1 at these angles, (angle, m).
 
-    It is of the trial: what the loop does after its end does not count; behind the end e_1 fades
-    along a straight line. `r`, (time, m), is in the units of the response.
+    The spectrum contains the trial alone: what the loop does after the end of the trial does not
+    count. After the end, e_1 fades along a straight line. `r` (time, m) is in the units of the
+    response.
     """
     N, length = len(r), FINER * len(r)
     angles = np.linspace(0, np.pi, length // 2 + 1)
@@ -44,7 +46,7 @@ def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nominal(response, angles):
-    """Frequencies, and P there: of a model at any, of samples up to the ends as they are there."""
+    """Frequencies and the nominal P there; beyond its samples, P is as at their ends."""
     omega = angles / response.Ts
     if response.models[0] is None:
         omega = omega.clip(*response.omega[[0, -1]])
@@ -52,9 +54,9 @@ def _nominal(response, angles):
 
 
 def error_weights(spectrum, angles) -> np.ndarray:
-    """Weights |E| d omega of some angles omega Ts, (n,), that sum to one.
+    """Return weights |E| d omega at angles omega Ts, (n,), which sum to one.
 
-    However far apart the frequencies are, no narrow line is missed.
+    No narrow line is missed, even if the frequencies are far apart.
     """
     fine, E = spectrum
     up_to = cumulative_trapezoid(np.sum(np.abs(E) ** 2, axis=1), fine, initial=0)
@@ -69,9 +71,10 @@ def error_weights(spectrum, angles) -> np.ndarray:
 
 
 def unreachable_rms(problem) -> np.ndarray:
-    """RMS, by output, of what no v removes of the first error, in the plant's units, (p,).
+    """Return the RMS of the part of the first error that no v removes, in the plant's units, (p,).
 
-    With fewer learned inputs than outputs it is (I - P P^+) e_1: P^+ e_1 leaves least of it.
+    With fewer learned inputs than outputs, this part is (I - P P^+) e_1, as v = P^+ e_1 leaves the
+    least error.
     """
     angles, E = problem.objective.first_error
     left = E - _back(problem.response, reachable(problem.response, (angles, E))[1])
@@ -79,7 +82,10 @@ def unreachable_rms(problem) -> np.ndarray:
 
 
 def reachable(response, first_error) -> tuple[np.ndarray, np.ndarray]:
-    """Angles, and what some v removes of the first error: P P^+ e_1, in the directions of P."""
+    """Return angles, and the part of the first error that some v removes, P P^+ e_1.
+
+    The part is given in the directions of P.
+    """
     (angles, E), directions = first_error, response.directions
     E = E if directions is None else E @ directions.U
     _, P = _nominal(response, angles)
@@ -89,29 +95,30 @@ def reachable(response, first_error) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _back(response, E):
-    """A spectrum (angle, any) in the directions of P as one of the outputs, (angle, p)."""
+    """A spectrum in the directions of P, (angle, any), as one of the outputs, (angle, p)."""
     return E if response.directions is None else E @ response.directions.U.T
 
 
 def _power(E, angles):
-    """Mean square of a signal by its spectrum, (angle, p), of each output."""
+    """Mean square of each output of a signal, from its spectrum (angle, p)."""
     samples = 2 * (len(angles) - 1) / FINER
     return trapezoid(np.abs(E) ** 2, angles, axis=0) / (np.pi * samples)
 
 
 def predicted_rms(problem, L) -> dict[int, float]:
-    """RMS of the error in trials 1 to 10, in the plant's units, from the spectrum of the first.
+    """Predict the RMS of the error in trials 1 to 10, in the plant's units.
 
-    Of the nominal plant, by the law (23), e_{k+1} = Q (I - P L) e_k + (1 - Q) e_1: where Q is less
-    than one, a part of the first error stays. Without noise, and for trials without ends.
+    The prediction starts from the spectrum of the first error and uses the nominal plant. By the
+    law (23), e_{k+1} = Q (I - P L) e_k + (1 - Q) e_1. Where Q is less than one, a part of the first
+    error remains. The prediction is without noise, and for trials without ends.
     """
     angles, E = problem.objective.first_error
     omega, P = _nominal(problem.response, angles)
     Q, L = (f.frequency_response(omega) for f in (problem.lowpass, L))
-    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, whichever side contracts
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, on whichever side
     directions, rms = problem.response.directions, {}
     along = E if directions is None else E @ directions.U
-    e, others = along[..., None], E - _back(problem.response, along)  # which no v changes
+    e, others = along[..., None], E - _back(problem.response, along)  # no v changes the others
     stays = (1 - Q)[:, None, None] * e
     for trial in range(1, TRIALS + 1):
         power = _power(_back(problem.response, e[..., 0]) + others, angles)

@@ -1,1 +1,1 @@
-"""What is known of P: one value, made at the door and asked nothing afterwards."""
+"""What is known of P: one object, checked and made at the door, and not checked again."""

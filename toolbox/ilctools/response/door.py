@@ -28,7 +28,7 @@ PRINTED_DIGITS = 1e-6
 
 
 class Accuracy(NamedTuple):
-    """How well P is known, in units of `scale`. The fields are those of :class:`.Response`."""
+    """How well P is known, in units of `scale`. The names are fields of :class:`.Response`."""
 
     radius: np.ndarray | None = None
     assumptions: tuple[str | Assumed, ...] = ()
@@ -47,7 +47,7 @@ def response_of(
 ) -> Response:
     """Check P, which must match Q if there is a Q, and make one Response of what is known of P.
 
-    The arguments are those of `synthesise`. Without `Ts`, Q or P gives the sampling period.
+    The arguments are as for `synthesise`. Without `Ts`, Q or P gives the sampling period.
     Without `omega`, frequencies are chosen that suit Q. If a response `like` is passed, its scale
     and directions are used.
     """

@@ -24,7 +24,7 @@ class Measured:
     Each subclass has the `response` (n, p, m) at `omega` (n,), rad/s, and the `loop` whose response
     it is. The `findings` speak against the measurement. For a table, `estimated` is False. Each
     subclass implements ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and
-    ``_scaled(of_P)``. A subclass whose splines use other samples than those at `omega` also
+    ``_scaled(of_P)``. A subclass whose splines use other samples than `response` also
     implements ``_samples(confidence)``. A subclass without splines implements
     ``_anywhere(omega, confidence)`` instead.
     """

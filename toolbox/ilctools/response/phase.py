@@ -3,8 +3,8 @@
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt
 
 The poles a_j lie inside the unit circle. The phase phi limits how fast a response can bend, by the
-theorem in :mod:`.evidence.peak`. The phase of a single pole, q, runs from -pi to pi in one turn. The
-pole reaches q at the angle
+theorem in :mod:`.evidence.peak`. The phase q of a single pole, counted from arg a, runs from -pi to
+pi in one turn. The pole reaches q at the angle
 
     theta = arg a + 2 arctan((1 - |a|) / (1 + |a|) tan(q / 2)).
 """

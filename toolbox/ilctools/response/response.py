@@ -20,7 +20,7 @@ from ilctools.singular_values import largest_singular_values
 
 SAME_ANGLE = 1e-9  # difference of two angles, below which they are the same frequency
 POINTS_BELOW = (
-    17  # frequencies from zero to the first one, at which a measured P is evaluated
+    17  # frequencies from zero to the first one of omega, at which a measured P is evaluated
 )
 
 

@@ -31,11 +31,12 @@ singular plants, and the phase may have turned before. Then P is anything that i
 at omega_1, and no filter has a sigma_max(M) below |Q| there.
 
 The region was tried on 30 plants. With omega_1 at 1/1000, 1/100, 1/50, 1/20 and 1/10 of the
-cut-off, 30, 29, 28, 24 and 24 plants lie within. The others have a slow part of little gain below
-omega_1. Only the certificate counts this region. Bounds on M are not imposed there, as no filter
-has less than |Q| d at rest. Among 58 designs of a finite filter, seven exceeded M_max = 0.9 there,
-and all seven had d above 0.7. If the numbers of inputs and outputs differ, a ball with the radius
-d sigma_max(Re P(omega_1)) contains this region, and rates are larger.
+cut-off, the region contains 30, 29, 28, 24 and 24 of these plants. The region does not contain a
+plant with a slow part of little gain below omega_1. Only the certificate counts this region. Bounds
+on M are not imposed there, as no filter has less than |Q| d at rest. Among 58 designs of a finite
+filter, seven exceeded M_max = 0.9 there, and all seven had d above 0.7. If the numbers of inputs
+and outputs differ, a ball with the radius d sigma_max(Re P(omega_1)) contains this region, and
+rates are larger.
 """
 
 from dataclasses import dataclass
@@ -175,12 +176,12 @@ class Samples:
         if self.known_below:  # a ball that holds Delta Re P, or Re P Delta
             radius += self.moves * np.linalg.norm(real, 2)
             return Region(P, np.eye(real.shape[1]), 0.0, radius)
-        # everything that is not larger than P, by a ball of twice this size about P
+        # a ball about P with twice this radius contains all that is not larger than this
         size = np.linalg.norm(self.P[0], 2) + self.radius[0]
         return Region(P, size * np.eye(real.shape[1]), 2.0, 0 * radius)
 
     def outside(self, omega) -> np.ndarray:
-        """Which frequencies are below the first sample or above the last one, (k,), bool."""
+        """Return which frequencies are below the first sample or above the last, (k,), bool."""
         return np.abs(omega - np.clip(omega, *self.omega[[0, -1]])) > SAME_FREQUENCY * np.abs(omega)
 
     def _place(self, omega):

@@ -1,4 +1,4 @@
-"""A rig under its controller, sample by sample: read, check, command, limit, observe, apply."""
+"""Run a rig under its controller, sample by sample: read, check, command, limit, observe, apply."""
 
 import numpy as np
 
@@ -11,24 +11,24 @@ from ilctools.rigs.interrupts import Interrupts
 from ilctools.trials.learn import Part, joined
 from ilctools.trials.start import Start
 
-STANDSTILL = 0.1  # of a trial, for which outputs that are back must stand still
-LONGEST_PAUSE = 2.0  # trials, that is waited for this
+STANDSTILL = 0.1  # part of a trial for which outputs that are back must stand still
+LONGEST_PAUSE = 2.0  # longest pause until then, in trials
 
 
 class ControlledRig:
-    """A rig that runs: what is known of it, what changes, and the signals that interrupt it."""
+    """A running rig: its description, its state, and the signals that interrupt it."""
 
     def __init__(self, about: RigDescription):
         self.about = about
         self.interrupts = Interrupts(self.make_safe, about.safe_time)
         self.controller = self.new_controller()
-        self.due: float | None = None  # when the next sample is, by the clock; None: when it comes
-        self.late: list[float] = []  # by how much each sample of a trial is not on time, s
+        self.due: float | None = None  # clock time of the next sample; None: whenever it comes
+        self.late: list[float] = []  # by how much each sample of a trial is early or late, s
         self.pause_warning = ""  # of the last pause
-        self.place = ""  # trial and sample, as errors say it
+        self.place = ""  # trial and sample, as errors state them
 
     def new_controller(self) -> Controller | None:
-        """A controller that knows nothing of what was before; None if the rig has its own."""
+        """Make a controller in its initial state; None if the rig has its own."""
         about = self.about
         return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
 
@@ -40,9 +40,9 @@ class ControlledRig:
             self.controller = self.new_controller()
 
     def pause(self, trial: int, samples: int | None, reference, start: Start) -> str:
-        """Hold a reference before a trial for so many samples; None: until the rig stands.
+        """Hold a reference before a trial for `samples` samples; None: until the rig stands still.
 
-        Returns what there is to be warned of.
+        Returns the text of a warning, or "".
         """
         flows, length, still = np.zeros(len(self.about.signals.commanded)), self.about.samples, 0
         longest = round(LONGEST_PAUSE * length) if samples is None else samples
@@ -58,9 +58,9 @@ class ControlledRig:
         return text if samples is None else ""
 
     def drive(self, trial: int, w, flows, bar, first: int = 0) -> Part:
-        """Drive the rig by w (time, channel) in a trial, from its sample `first` on.
+        """Drive the rig by w (time, channel) in a trial, from sample `first` of the trial on.
 
-        Returns the signals of these samples but v and the reference, shape (time, channel).
+        Returns the signals of these samples, except v and the reference, shape (time, channel).
         """
         if not first:
             self.late = []
@@ -75,7 +75,7 @@ class ControlledRig:
         return joined(samples, np.array)
 
     def check_clock(self) -> None:
-        """Note by how much a sample is not on time by the clock of the rig, if it has one."""
+        """Note by how much a sample is early or late by the clock of the rig, if it has a clock."""
         if self.about.clock:
             now = float(self.reading("clock", self.about.clock(), ()))
             due = now if self.due is None else self.due
@@ -83,7 +83,7 @@ class ControlledRig:
             self.due = due + self.about.Ts
 
     def sample(self, w, flows) -> Part:
-        """Let one sampling period pass; its signals but v and the reference."""
+        """Run one sampling period; return its signals, except v and the reference."""
         about, controller = self.about, self.controller
         signals = self.interrupts.call(self.read, flows)
         self.check_stop(about.outputs, signals["y"])
@@ -103,7 +103,7 @@ class ControlledRig:
         return signals
 
     def read(self, flows) -> Part:
-        """y, u if the controller is the rig's, and the known disturbances: all of it is checked."""
+        """Read and check y, the known disturbances, and u if the controller is the rig's."""
         names, driver = self.about.signals, self.about.driver
         y, measured = driver.read(), driver.measured if names.measured_as else {}
         part = {
@@ -119,9 +119,10 @@ class ControlledRig:
         return part
 
     def reading(self, name: str, values, shape: tuple) -> np.ndarray:
-        """What the driver gave, as an array; a RigError that says when, if it is none.
+        """Return what the driver gave as an array; otherwise raise a RigError that says when.
 
-        For one output a number is enough, as :meth:`.Law.next` takes signals (time,) for it.
+        For one output a number is enough, as :meth:`.Law.next` takes signals (time,) for one
+        output.
         """
         try:
             if shape == (1,) and np.ndim(values) == 0:
@@ -131,7 +132,7 @@ class ControlledRig:
             raise RigError(f"{self.place}: {error}") from None
 
     def check_stop(self, names: list[str], values: np.ndarray) -> None:
-        """Stop at what is beyond the limits of `stop`."""
+        """Stop the experiment if a value is beyond the limits of `stop`."""
         for name, value in zip(names, values.tolist(), strict=True):
             low, high = self.about.stop.get(name, UNLIMITED)
             if not low <= value <= high:
@@ -149,7 +150,7 @@ class ControlledRig:
         self.interrupts.call(self.about.driver.apply, inputs)
 
     def make_safe(self) -> None:
-        """Leave the rig in a safe state; an error there says so."""
+        """Leave the rig in a safe state; note in an error meanwhile that it may not be safe."""
         try:
             if self.about.safe:
                 self.about.safe()

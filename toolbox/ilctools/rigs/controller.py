@@ -9,21 +9,23 @@ from ilctools.loop.closed import CurrentTrialLoop, controller
 class Controller:
     """Observer and state feedback of a loop, sample by sample, as on hardware.
 
-    u = N w - K_s x-hat - delta, with the estimates x-hat of the states and delta of the disturbance
-    at the input, (16) and (18) of the paper, see :func:`current_trial_loop`.
+    The command is u = N w - K_s x-hat - delta, (16) and (18) of the paper. Here x-hat is the
+    estimate of the states, and delta is the estimate of the disturbance at the input. See
+    :func:`current_trial_loop`.
 
-    `command` and `observe` take loops side by side, too, by signals of shape (..., m).
+    `command` and `observe` also take several loops side by side, with signals of shape (..., m).
 
     Parameters
     ----------
     loop : CurrentTrialLoop
+        The loop with the gains of observer and state feedback.
     decimals : int, optional
-        To which commands are rounded. Default: not at all.
+        Number of decimals to which commands are rounded. Default: commands are not rounded.
 
     See Also
     --------
-    record : what runs it
-    current_trial_loop : its gains
+    record : runs the controller on a rig
+    current_trial_loop : designs the gains
 
     Examples
     --------
@@ -51,7 +53,7 @@ class Controller:
         return self._state[..., -self._m :]
 
     def step(self, y, w) -> np.ndarray:
-        """The controls u(p) from the measured y(p) and w(p); advances the observer."""
+        """Compute the controls u(p) from the measured y(p) and w(p); advance the observer."""
         y = arguments.array("y", y, (self._m,))
         w = arguments.array("w", w, (self._m,))
         u = self.command(w)
@@ -59,7 +61,7 @@ class Controller:
         return u
 
     def command(self, w) -> np.ndarray:
-        """The controls u(p), from w(p) and what is estimated."""
+        """Compute the controls u(p) from w(p) and the estimates."""
         u = w @ self.loop.N.T - self._state @ self._K.T  # (18)
         return rounded(u, self.decimals)
 
@@ -70,9 +72,9 @@ class Controller:
 
 
 def rounded(values, decimals: int | None):
-    """Values with so many decimals; None: as they are."""
+    """Round values to a number of decimals; None: return them as they are."""
     if decimals is None:
         return values
-    # numpy rounds some decimals up that are just below a half
+    # numpy rounds up some decimals that are just below a half
     rounds = round if isinstance(values, float) else np.round
     return rounds(values, decimals)

@@ -1,4 +1,4 @@
-"""A rig, its loop and its law as they are known before the first sample; all of it is checked."""
+"""The checked description of a rig, its loop and its law, made before the first sample."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ class RigSignals:
     outputs: list[str]  # y, in the order of the numbers that `read` returns
     commands: list[str]  # u if the controller is ours, w if it is the rig's
     inputs: list[str]  # of the rig, in the order of the numbers that `apply` takes
-    controls: list[str]  # u, which a rig reports if the controller is its own; else none
+    controls: list[str]  # u, which a rig reports if the controller is its own; else empty
     commanded: list[str]  # disturbances of the loop that are inputs of the rig
-    disturbances: list[str]  # of the loop, which are known: those commanded, and those measured
+    disturbances: list[str]  # known disturbances of the loop, which are commanded or measured
 
     @cached_property
     def measured_as(self) -> dict[str, str]:
-        """What the rig measures beside y, and as which signal it is recorded."""
+        """What the rig measures besides y, and as which signal each quantity is recorded."""
         signals = dict.fromkeys(self.disturbances, "disturbance") | dict.fromkeys(
             self.controls, "u"
         )
@@ -40,47 +40,47 @@ class RigSignals:
 
     @cached_property
     def places(self) -> list[int]:
-        """Where the commands, and then the commanded disturbances, stand among the inputs."""
+        """Positions of the commands, and then of the commanded disturbances, among the inputs."""
         return [self.inputs.index(name) for name in self.commands + self.commanded]
 
 
 @dataclass(frozen=True)
 class RigDescription:
-    """A rig under its loop and its law, made by :func:`described`; nothing of it changes."""
+    """The fixed description of a rig under its loop and its law, made by :func:`described`."""
 
     driver: Rig
     loop: Loop  # the controller is ours if it is a CurrentTrialLoop, else the rig's
     signals: RigSignals
     Ts: float  # s
-    decimals: dict[str, int]  # of signals that are rounded
-    limits: dict[str, tuple[float, float]]  # that the rig follows, by the name of the command
-    law: Law | None  # on this rig: within its limits, unless the law has none at all
-    actuators: Actuators | None  # which cut commands off at the limits of the law, if it has some
+    decimals: dict[str, int]  # number of decimals of signals that are rounded
+    limits: dict[str, tuple[float, float]]  # limits of the rig, by the name of the command
+    law: Law | None  # the law on this rig: within its limits, unless the law has no limits
+    actuators: Actuators | None  # saturate commands at the limits of the law, if it has limits
     stop: dict[str, tuple[float, float]]  # limits beyond which the experiment stops, by name
-    begin: Callable | None  # brings the rig to where trials begin, if it can
-    clock: Callable | None  # the time, s, if it has a clock
-    safe: Callable | None  # leaves it safe, if it has something for that
-    safe_time: float  # s, that `safe` may take before a signal ends it
+    begin: Callable | None  # brings the rig to where trials begin, if the rig can
+    clock: Callable | None  # gives the time in s, if the rig has a clock
+    safe: Callable | None  # leaves the rig safe, if the rig has this method
+    safe_time: float  # s, the longest time of `safe` before a signal ends it
     trials: int
     samples: int  # of a trial
     goes_on: bool  # whether a trial starts where the last one ended
 
     @property
     def outputs(self) -> list[str]:
-        """Names of y."""
+        """Names of the outputs y."""
         return self.loop.outputs
 
     @property
     def controller_is_ours(self) -> bool:
-        """Whether the controller runs here and sends u; else the rig's own takes w."""
+        """Whether the controller runs here and sends u; else the rig's own controller takes w."""
         return isinstance(self.loop, CurrentTrialLoop)
 
     def rounded(self, signal: str, values) -> np.ndarray:
-        """A signal with as many digits as are recorded."""
+        """Round a signal to the decimals that are recorded."""
         return rounded(values, self.decimals.get(signal))
 
     def flows_of(self, disturbance) -> np.ndarray:
-        """What is commanded to disturbances that are inputs, shape (trial, time, them)."""
+        """Select the commanded disturbances, shape (trial, time, commanded disturbance)."""
         names, known = self.loop.disturbances, self.signals.disturbances
         d = disturbances_of(self.loop, disturbance, self.trials, self.samples)
         nonzero = d.any(axis=(0, 1))
@@ -99,18 +99,19 @@ def described(
     decimals: dict[str, int] | None = None,
     goes_on: bool = False,
 ) -> RigDescription:
-    """Describe a rig under its loop; a ValueError if something of it does not belong together.
+    """Describe a rig under its loop; raise a ValueError if something does not fit together.
 
     Parameters
     ----------
     rig, stop, decimals
         As for :func:`ilctools.record`.
     loop : CurrentTrialLoop or ClosedLoop
-        The controller is ours, which sends u, or the rig's, which takes w.
+        With a CurrentTrialLoop our controller runs and sends u. With a ClosedLoop the controller of
+        the rig takes w.
     reference : ndarray, shape (trial, time, output)
-        Of all trials, from which limits of `stop` follow.
+        The reference of all trials. The limits of `stop` follow from it.
     law : Law, optional
-        Bound to the loop. Limits that it does not state are those of the rig.
+        The law, bound to the loop. If the law does not state a limit, the limit of the rig counts.
     goes_on : bool
         Whether a trial starts where the last one ended.
     """
@@ -141,7 +142,7 @@ def described(
 
 
 def _checked_decimals(decimals):
-    """Decimals by the signal that is rounded to them."""
+    """Check the numbers of decimals, by the signal that is rounded."""
     asked = arguments.by_name("decimals", decimals, ROUNDED_SIGNALS)
     return {
         signal: arguments.whole(f"decimals[{signal!r}]", number, 0, 300)
@@ -150,7 +151,7 @@ def _checked_decimals(decimals):
 
 
 def _signals(driver, loop):
-    """Which signals are sent, measured and recorded beside commands and outputs."""
+    """Find which signals are sent, measured and recorded besides commands and outputs."""
     commands, measured = loop.commands, getattr(driver, "measured", {})
     inputs = list(getattr(driver, "inputs", commands))
     if missing := [name for name in commands if name not in inputs]:

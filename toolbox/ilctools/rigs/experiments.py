@@ -1,4 +1,4 @@
-"""Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
+"""Run an experiment on a rig, trial by trial: learn by the ILC law, or excite the loop."""
 
 from functools import partial
 
@@ -156,7 +156,7 @@ def record(
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     if path is not None and law.L is not None:
-        arguments.instance("L", law.L, Filter | NormOptimal)  # or the log could not note it
+        arguments.instance("L", law.L, Filter | NormOptimal)  # the log cannot note another L
     law, reference, first, points = asked_of(law, reference, trials, v, reset, pilot, between)
     about = described(rig, loop, reference, law, stop, decimals, goes_on=not reset)
     law, pause = about.law, _checked_pause(pause, about)
@@ -175,7 +175,7 @@ def record(
 
 
 def _checked_pause(pause: int | None, about: RigDescription) -> int | None:
-    """Samples between two trials; None: until the outputs are back."""
+    """Check the number of samples between two trials; None: until the outputs are back."""
     if about.goes_on and pause is not None:
         raise ValueError(f"reset = False, but pause = {pause}: there is none, leave it out")
     if pause is None:
@@ -192,31 +192,34 @@ def shake(
     decimals: dict[str, int] | None = None,
     stop: dict[str, tuple[float, float] | None] | None = None,
 ) -> xr.Dataset:
-    """Shake the loop on a rig, w = v, and record it: the trials from which P can be estimated.
+    """Excite a loop on a rig by w = v, and record the trials from which P can be estimated.
 
-    Each experiment of the excitation is a trial; the reference is zero, there is no pause. All else
-    is as in :func:`record`, also what is refused and warned of.
+    Each experiment of the excitation is a trial. The reference is zero, and there is no pause
+    between trials. In all other respects, such as errors and warnings, :func:`shake` works like
+    :func:`record`.
 
     Parameters
     ----------
     rig : Rig
+        The rig, see :class:`Rig`.
     loop : CurrentTrialLoop or ClosedLoop
-        Of the controller that runs, whose names and units are those of the record.
+        The loop of the running controller. Its names and units become the names and units of the
+        record.
     excitation : Excitation
-        From :func:`multisine`.
+        The excitation, from :func:`multisine`.
     path, decimals, stop
         As in :func:`record`.
 
     Returns
     -------
     xarray.Dataset
-        As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
-        For :func:`measured_response`.
+        The trials, as from :func:`record`, for :func:`measured_response`. The metadata contain the
+        excitation and the limits of the rig.
 
     See Also
     --------
-    multisine : the excitation
-    measured_response : P, from the record
+    multisine : designs the excitation
+    measured_response : estimates P from the record
 
     Examples
     --------
@@ -240,13 +243,13 @@ def shake(
     arguments.instance("loop", loop, Loop)
     shaken = arguments.instance("excitation", excitation, Excitation).signals
     reference = np.zeros((*shaken.shape[:2], len(loop.outputs)))
-    # of inputs that are no references nothing says how far outputs may move
+    # If inputs are no references, they do not say how far outputs may move.
     about = described(rig, loop, shaken if loop.one_for_one else reference, None, stop, decimals)
     check_match(loop=loop, rig=about, excitation=excitation)
     flows = about.flows_of(None)
     notes = with_excitation(xr.Dataset(), excitation, loop, about.limits).attrs
 
     def following(trials, upcoming):
-        return shaken[len(trials)]  # whatever the trials before were
+        return shaken[len(trials)]  # independent of the trials before
 
     return Experiment(about, reference, flows, following, notes, pause=0).finish(path)

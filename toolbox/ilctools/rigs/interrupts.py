@@ -1,4 +1,4 @@
-"""Signals that end a process: they end a run, and its rig is left safe before it ends."""
+"""Handle signals that end a process: the run ends, and its rig is left safe before it ends."""
 
 import atexit
 import math
@@ -9,18 +9,19 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-# a closed terminal, but on Windows; kill, a service's stop; Ctrl-C
+# a closed terminal, except on Windows; kill, or the stop of a service; Ctrl-C
 ENDING_SIGNALS = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
 USUAL_HANDLERS = (signal.SIG_DFL, signal.default_int_handler)
-SAFE_TIME = 10.0  # s, that safe() of a rig may take before a signal ends it
+SAFE_TIME = 10.0  # s, the longest time of safe() of a rig before a signal ends it
 WAIT_NOTICE = b"\nsignal noted, wait: the rig is being left safe\n"
 
 
 class Interrupts:
-    """Signals that end a process, noted: after one no method of the driver is called but `safe`.
+    """Notes signals that end a process; afterwards only `safe` of the driver is called.
 
-    One that comes during such a call raises at once, because that may hang; elsewhere none does,
-    where it could be swallowed, as in a destructor, or leave a lock behind.
+    A signal during a call of the driver raises at once, because the driver may hang. Elsewhere a
+    signal does not raise: the exception could be swallowed, as in a destructor, or leave a lock
+    behind.
     """
 
     def __init__(self, make_safe: Callable, safe_time: float):
@@ -29,18 +30,19 @@ class Interrupts:
         self.process, self.is_safe = os.getpid(), threading.Event()
 
     def watch(self) -> None:
-        """Note Ctrl-C, even if asyncio handles it; others, unless somebody handles them.
+        """Begin to note signals: Ctrl-C always, and others unless somebody handles them.
 
-        A handler that C code has installed, which `getsignal` gives as None, is left alone.
+        Ctrl-C is noted even if asyncio handles it. A handler that C code has installed, which
+        `getsignal` gives as None, is left alone.
         """
         atexit.register(self.end_thread)
-        # only the main thread can set handlers, and only of the main interpreter
+        # only the main thread of the main interpreter can set handlers
         with suppress(ValueError):
             for number in ENDING_SIGNALS:
                 handler = signal.getsignal(number)
                 if handler in USUAL_HANDLERS or (number == signal.SIGINT and callable(handler)):
                     signal.signal(number, self.note)
-                    self.handlers[number] = handler  # once it is replaced, and must come back
+                    self.handlers[number] = handler  # it is replaced now, and must be restored
 
     def note(self, number, frame) -> None:
         """Handle a signal."""
@@ -51,7 +53,7 @@ class Interrupts:
             os.write(2, WAIT_NOTICE)
 
     def call(self, method: Callable, *arguments):
-        """What a method of the driver returns."""
+        """Call a method of the driver, during which signals raise; return its result."""
         try:
             self.until = -math.inf
             if self.number:
@@ -61,7 +63,7 @@ class Interrupts:
             self.until = math.inf
 
     def leave(self) -> None:
-        """Leave the rig safe, unless this is a forked child: the rig is its parent's."""
+        """Leave the rig safe, unless this is a forked child, whose parent has the rig."""
         self.until = time.monotonic() + self.safe_time
         try:
             if os.getpid() == self.process:

@@ -5,16 +5,19 @@ from ilctools.law.limits import UNLIMITED, named_limits
 from ilctools.loop.closed import Loop
 from ilctools.trials.start import largest_by_unit
 
-# Times what an actuator spans, that commands may be beyond: a loop that works is not.
+# Commands may be beyond the limits of an actuator by this many times its range. The commands of a
+# working loop are not.
 WIDE_COMMAND = 49.5
-FAR_OUTPUT = 5.0  # times the largest reference that outputs may be beyond all references
+# Outputs may be beyond all references by this many times the largest reference.
+FAR_OUTPUT = 5.0
 
 
 def stop_limits(stop, reference, loop: Loop, followed) -> dict:
-    """Limits of outputs and commands beyond which an experiment stops, by name.
+    """Compute limits of outputs and commands beyond which an experiment stops, by name.
 
-    `stop` overrides those that follow from the reference (..., time, output), all outputs of a unit
-    together, and from what the actuators follow; None stands for no limit.
+    The limits of outputs follow from the reference (..., time, output), for all outputs of a unit
+    together. The limits of commands follow from the limits `followed` of the actuators. `stop`
+    overrides both; None stands for no limit.
     """
     limits = {}
     values = reference.reshape(-1, len(loop.outputs))

@@ -1,4 +1,4 @@
-"""What an experiment asks of a rig, and what it says when a rig fails."""
+"""The interface between an experiment and a rig."""
 
 from collections.abc import Iterable
 from typing import Protocol, runtime_checkable
@@ -6,26 +6,30 @@ from typing import Protocol, runtime_checkable
 
 @runtime_checkable
 class Rig(Protocol):
-    """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
+    """The driver of a rig for :func:`record`: two methods, each called once per sample.
 
-    With a :class:`ClosedLoop`, whose controller is on the rig, the inputs are w = r + v, and
+    With a :class:`ClosedLoop`, the controller is on the rig. The inputs are then w = r + v, and
     ``measured`` has the commands u, if the loop names any.
 
-    A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
-    the loop's controls, or references. ``limits``: a dict of the lowest and the highest number that
-    it follows, by the name of the input;
-    commands are cut off there, and the observer (16) is informed. ``Ts``: its sampling
-    period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
-    the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.
-    ``safe_time``: how long this may take, s, before a signal ends it; 10 s without it.
-    ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
-    run; the controller then starts afresh, too. ``clock()``: the time, s, by which samples are late
-    or not, such as ``time.monotonic``.
+    A rig may have further attributes and methods:
+
+    - ``inputs``: names of the numbers that ``apply`` takes. Default: the loop's controls, or its
+      references.
+    - ``limits``: a dict of the lowest and the highest number that the rig can apply, by the name of
+      the input. Commands saturate there, and the observer (16) gets the saturated commands.
+    - ``Ts``: the sampling period of the rig, s.
+    - ``measured``: a dict of other measured quantities by name, such as the temperature of the
+      room.
+    - ``safe()``: leaves the rig in a safe state. Without this method, zeros are applied.
+    - ``safe_time``: the time in s that ``safe()`` may take before a signal ends it. Default: 10 s.
+    - ``begin(trial)``: brings the rig into the state in which every trial begins, for example by a
+      homing run. The controller then starts afresh, too.
+    - ``clock()``: the time in s by which samples are on time or not, such as ``time.monotonic``.
 
     See Also
     --------
-    record : trials on a rig
-    shake : its response
+    record : runs trials on a rig
+    shake : excites a rig, to measure its response
 
     Examples
     --------
@@ -44,7 +48,7 @@ class Rig(Protocol):
     """
 
     def read(self) -> Iterable[float] | float:
-        """The outputs now, in the order and the units of the loop; a number, if there is one."""
+        """Read the outputs, in the order and the units of the loop; one output may be a number."""
 
     def apply(self, commands, /) -> None:
-        """Set the inputs, and return when the next sample is due."""
+        """Set the inputs, and return at the time of the next sample."""

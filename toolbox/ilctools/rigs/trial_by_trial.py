@@ -1,4 +1,4 @@
-"""Trials on a rig, one after the other: each is watched, and kept when it ends."""
+"""Run trials on a rig, one after the other; each is checked, and saved when it ends."""
 
 import os
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from ilctools.signals import dataset, points_of, with_points
 from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.parts import parts_of
 
-# the notes of what makes the trials
+# notes of a log that describe how the trials are made
 COMPARED_NOTES = (*LAW_KEYS, RESET, BETWEEN, "excitation", "loop")
 
 
@@ -27,9 +27,9 @@ COMPARED_NOTES = (*LAW_KEYS, RESET, BETWEEN, "excitation", "loop")
 class Past:
     """The trials of an experiment that have ended."""
 
-    notes: dict[str, str]  # of their log
+    notes: dict[str, str]  # of the log of these trials
     trials: list[Part] = field(default_factory=list)
-    log: xr.Dataset | None = None  # of all of them
+    log: xr.Dataset | None = None  # the log of all these trials
 
 
 @dataclass(frozen=True)
@@ -38,31 +38,32 @@ class Experiment:
 
     about: RigDescription
     reference: np.ndarray  # shape (trial, time, output)
-    flows: np.ndarray  # commanded to disturbances that are inputs, shape (trial, time, them)
-    following: Callable[[list[Part], np.ndarray], np.ndarray]  # v after these, before a reference
-    notes: dict[str, str]  # of what makes the trials
+    flows: np.ndarray  # commanded disturbances, shape (trial, time, commanded disturbance)
+    # computes v from the trials that have ended and the next reference
+    following: Callable[[list[Part], np.ndarray], np.ndarray]
+    notes: dict[str, str]  # notes that describe how the trials are made
     pause: int | None  # samples between two trials; None: until the outputs are back
-    points: np.ndarray | None = None  # (time, output): where something is asked, if not everywhere
+    points: np.ndarray | None = None  # (time, output): where the error counts, if not everywhere
 
     def finish(self, path) -> xr.Dataset:
-        """Run the trials that are not in the log at `path` yet; the log of all."""
+        """Run the trials that are not yet in the log at `path`; return the log of all trials."""
         if path is None:
             return self.go_on(Past(self.notes), None)
         path = log_path(path)
         past = self.past_in(path)
         missing = len(self.reference) - len(past.trials)
         if missing <= 0:
-            return past.log  # which may be where nothing can be written
+            return past.log  # even from a place where nothing can be written
         if not os.access(path.parent, os.W_OK):
             raise PermissionError(
                 f"path = '{path}' cannot be written to, but {missing} of {len(self.reference)} "
                 "trials are not in it: give another path"
             )
-        with without_others(path):  # who may have added trials until now
+        with without_others(path):  # others may have added trials until now
             return self.go_on(self.past_in(path), path)
 
     def past_in(self, path: Path) -> Past:
-        """The trials of the log at `path`, if there is one; those of another are refused."""
+        """Read the trials of the log at `path`, if it exists; refuse another experiment."""
         if not path.exists():
             return Past(self.notes)
         log = read_log(path, ended=True)
@@ -88,16 +89,16 @@ class Experiment:
             )
 
     def v_after(self, trials: list[Part], upcoming) -> np.ndarray:
-        """v after these trials, before a reference, with as many digits as are recorded."""
+        """Compute v after some trials, for the next reference, rounded as it is recorded."""
         return self.about.rounded("v", self.following(trials, upcoming))
 
     def go_on(self, past: Past, path: Path | None) -> xr.Dataset:
-        """Run the trials that are missing, and leave the rig safe on every way out."""
+        """Run the missing trials; leave the rig safe, however the run ends."""
         if len(past.trials) >= len(self.reference):
             return past.log
         file = TrialLog(path)
         if past.trials:
-            file.replace(past.log)  # without a last trial that is torn
+            file.replace(past.log)  # without an incomplete last trial
         rig = ControlledRig(self.about)
         try:
             with file.thread:
@@ -117,7 +118,7 @@ class Experiment:
         return past.log
 
     def add_trials(self, rig: ControlledRig, past: Past, file: TrialLog) -> None:
-        """Run the trials that are missing; save each, and warn of what it shows."""
+        """Run the missing trials; save each trial, and warn of problems that it shows."""
         ended, count, kinds_warned_of = len(past.trials), len(self.reference), set()
         with progress(total=self.reference[ended:, :, 0].size) as bar:
             if self.about.goes_on:
@@ -134,7 +135,7 @@ class Experiment:
             file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
-        """Run the trial after these: if the rig goes on, in parts, else in one."""
+        """Run the trial after the trials `past`: in parts if the rig goes on, else as a whole."""
         number, reference = len(past) + 1, self.reference[len(past)]
 
         def respond(w, now):
@@ -149,7 +150,7 @@ class Experiment:
         return joined(learn(loop, respond, self.v_after, reference, past))  # (22), (23)
 
     def log_of(self, past: Past) -> xr.Dataset:
-        """The log of the trials that have ended."""
+        """Make the log of the trials that have ended."""
         loop, signals = self.about.loop, joined(past.trials, np.stack)
         names = loop.outputs, loop.controls, self.about.signals.disturbances
         learned = () if loop.one_for_one else loop.learned

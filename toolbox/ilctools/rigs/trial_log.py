@@ -1,4 +1,4 @@
-"""The file of an experiment: its log, to which each trial is added when it ends."""
+"""The log file of an experiment, to which each trial is added when it ends."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -13,7 +13,7 @@ from ilctools.trials.learn import Part
 
 
 def log_path(path) -> Path:
-    """Where a log is, or will be: the file itself, in a folder that exists."""
+    """Return the absolute path of a log file, in a folder that exists."""
     # absolute, because a driver may change the working directory
     path = regular(arguments.path("path", path)).absolute()
     if not path.parent.is_dir():
@@ -28,37 +28,38 @@ def without_others(path: Path) -> AbstractContextManager:
 
 
 class TrialLog:
-    """The log of one experiment as a file; what others write there meanwhile is left alone.
+    """The log of one experiment as a file; changes by other programs are not overwritten.
 
-    A thread writes it, so that a rig that never rests need not wait; without a path nothing does.
+    A thread writes the file, so that a rig that never rests need not wait. Without a path, nothing
+    is written.
     """
 
     def __init__(self, path: Path | None):
         self.path = path
-        self.size = None  # of the file, in bytes, as this experiment left it
+        self.size = None  # size of the file in bytes, as this experiment left it
         self.thread = ThreadPoolExecutor(1)
-        self.last: Future | None = None  # what is written, or was
+        self.last: Future | None = None  # the last write, running or done
 
     def replace(self, log: xr.Dataset) -> None:
-        """Write all trials, whatever is there."""
+        """Write all trials, whatever the file contains."""
         write_log(log, self.path)
         self.size = self.path.stat().st_size
 
     def add(self, log: xr.Dataset, trial: Part) -> None:
-        """Add the last trial of a log; first the error of the one before, if there was one."""
+        """Add the last trial of a log; first raise the error of the write before, if any."""
         self.finish()
         if self.path:
             self.last = self.thread.submit(self.write, log, trial)
 
     def finish(self) -> None:
-        """Wait until all is written; raises the error of what was not."""
+        """Wait until everything is written; raise the error if something was not."""
         if self.last:
             self.last.result()
 
     def write(self, log: xr.Dataset, trial: Part) -> None:
-        """Add the last trial of a log to the file, or write all where there is none.
+        """Add the last trial of a log to the file, or write all trials if there is no file.
 
-        By rows, because meanwhile the next trial may run.
+        The trial is written row by row, because the next trial may run meanwhile.
         """
         if not self.path.exists():
             self.replace(log)

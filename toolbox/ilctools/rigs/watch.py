@@ -1,4 +1,4 @@
-"""What there is to be warned of after a trial on a rig."""
+"""Warnings after a trial on a rig."""
 
 from collections.abc import Sequence
 
@@ -13,11 +13,11 @@ from ilctools.trials.start import Start
 from ilctools.warn import warn
 
 LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
-EACH_TRIAL = {"pause", "clock", "rig"}  # of these kinds each trial is warned of, of others one
+EACH_TRIAL = {"pause", "clock", "rig"}  # kinds of warnings in each trial; other kinds come once
 
 
 def warn_once(texts: dict[str, str], kinds_warned_of: set[str]) -> None:
-    """Warn of each kind whose text is not empty, but of most kinds once: it notes which."""
+    """Give each warning whose text is not empty; most kinds once, noted in `kinds_warned_of`."""
     for kind, text in texts.items():
         if text and kind not in kinds_warned_of:
             warn(text)
@@ -25,16 +25,16 @@ def warn_once(texts: dict[str, str], kinds_warned_of: set[str]) -> None:
 
 
 def start_of(about: RigDescription, first: Part) -> Start:
-    """Where the first trial started."""
+    """Return where the first trial started."""
     return Start.of(first["y"], first["reference"], about.loop)
 
 
 def warnings_of(
     about: RigDescription, log: xr.Dataset, trials: Sequence[Part], late: Sequence[float]
 ) -> dict[str, str]:
-    """What the last of these trials shows, with those before it, by kinds; "" for nothing.
+    """Collect the warnings after the last of these trials, by kind; "" if there is none.
 
-    `late` is by how many seconds each sample of the last trial was not on time.
+    `late` has the number of seconds by which each sample of the last trial was early or late.
     """
     number, texts = len(trials), _beyond_limits(about, trials[-1])
     if about.law is not None:
@@ -46,7 +46,7 @@ def warnings_of(
 
 
 def _beyond_limits(about, trial):
-    """Commands that the actuators do not follow: the law knows of its limits, not of the rig's."""
+    """State which commands saturate; the law knows its own limits, but not those of a rig."""
     kind, limits, then = "rig", about.limits, "; what the rig cuts off, the law does not know"
     if about.actuators:
         kind, limits, then = "limits", about.law.known_limits, CUT_OFF
@@ -55,7 +55,7 @@ def _beyond_limits(about, trial):
 
 
 def _another_start(about, trials):
-    """How far the last trial started from where the first one did, in words."""
+    """State in words how far the last trial started from the start of the first trial."""
     first, last = trials[0], trials[-1]
     alike = np.array_equal(last["reference"][0], first["reference"][0])
     if about.goes_on or last is first or not alike:

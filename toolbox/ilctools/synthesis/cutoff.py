@@ -1,25 +1,28 @@
-"""Q where it is left out: its cut-off follows from how far P reaches, and how far its plants agree.
+"""The default cut-off of Q, from how far P reaches and how far its plants agree.
 
-With sigma(omega) for the least sigma_min of all plants, and sigma_0 for its value at rest, or its
-largest if P passes nothing there, P reaches up to the frequency omega_1 where
+Let sigma(omega) be the least sigma_min of all plants. Let sigma_0 be the value of sigma at rest, or
+the largest value of sigma if P passes nothing at rest. P reaches up to the frequency omega_1 where
 
     sigma(omega) < WEAK sigma_0.
 
-Beyond, what L gains is noise and what the model does not know. The bound on L will follow from the
-cut-off, and is STATIC / sigma_0 at least. The plants P_k agree as far as the quadratic law B of all
-of them, with that bound, leaves |Q| d <= M_max, with what is left without Q,
+Above omega_1, L would amplify noise and the errors of the model. The bound on L will follow from
+the cut-off, and is at least STATIC / sigma_0. The plants P_k agree at frequencies where the
+quadratic law B of all plants, with this bound, gives |Q| d <= M_max. Here d is what is left without
+Q,
 
     d = max_k sigma_max(I - P_k B) + r sigma_max(B),
 
-r their radius. Of the Butterworth filter of order 2, Q = 1 / (1 + x^4) with
-x = tan(omega Ts / 2) / tan(cutoff Ts / 2), so that this is x >= (d / M_max - 1)^(1/4): one cut-off
-for each frequency, and the least of them counts. There is nothing to search.
+and r is the radius of the plants. The Butterworth filter of order 2 has Q = 1 / (1 + x^4) with
+x = tan(omega Ts / 2) / tan(cutoff Ts / 2). The condition is therefore
+x >= (d / M_max - 1)^(1/4). The condition gives one cut-off for each frequency, and the least
+cut-off counts. No search is needed.
 
-Which frequencies are asked is decided before: of an estimate from records, those of which a period
-fits into a record, see :attr:`.EstimatedResponse.resolved`. Among these a single one may decide.
-The frequencies beside it at which P is as weak, or as little known, belong to it. If P is strong
-and known again above them, they are a range whose price can be named: the cut-off that would follow
-without them.
+The frequencies that count are decided before. For an estimate from records, these are the
+frequencies of which a period fits into a record, see :attr:`.EstimatedResponse.resolved`. A single
+one of these frequencies may decide. The neighbouring frequencies at which P is as weak, or as
+uncertain, are grouped with the one that decides. If P is strong and known again above these
+frequencies, they form a range with a price. The price is the cut-off that would follow without this
+range.
 """
 
 from typing import NamedTuple
@@ -34,21 +37,24 @@ from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
 ORDER = 2  # of the Butterworth filter, as in the paper
-WEAK = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/performance.md
-SHARE_OF_M_MAX = 0.9  # of M_max that may be used up by what the plants differ
-INSIDE_SAMPLES = 0.5  # of the last sample, if that is below Nyquist's: |Q| is 0.06 there
-HIGHEST_CUTOFF = 0.9  # of the Nyquist frequency
-NEARLY_NYQUIST = 3  # rad, of omega Ts: from there on it is as good as the Nyquist frequency's, pi
-NAMED_FACTOR = 1.1  # a range is named if the cut-off were this many times as high without
-COSTLY_FACTOR = 2.0  # and a warning tells of it from this factor on
+# Relative to sigma_0. Among 0.03, 0.05 and 0.1, this gives least noise; see figures/performance.md.
+WEAK = 0.1
+SHARE_OF_M_MAX = 0.9  # share of M_max that the differences between the plants may use up
+# Highest cut-off relative to the last sample, if that is below the Nyquist frequency. |Q| is 0.06
+# at the last sample.
+INSIDE_SAMPLES = 0.5
+HIGHEST_CUTOFF = 0.9  # relative to the Nyquist frequency
+NEARLY_NYQUIST = 3  # rad: a larger omega Ts is as good as that of the Nyquist frequency, pi
+NAMED_FACTOR = 1.1  # a range is named if the cut-off would be this many times as high without it
+COSTLY_FACTOR = 2.0  # a warning is given from this factor on
 
 
 class Cutoff(NamedTuple):
-    """A cut-off that is chosen, and what decided it."""
+    """The chosen cut-off, and what decided it."""
 
     omega: float  # rad/s
-    reason: str  # what it follows from, in words
-    decisive: str = ""  # the range that decides, in words; empty if none is so narrow
+    reason: str  # what the cut-off follows from, in words
+    decisive: str = ""  # the range that decides, in words; empty if no narrow range decides
     without: float = np.inf  # the cut-off without that range, rad/s
 
     @property
@@ -58,26 +64,26 @@ class Cutoff(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The cut-off that each frequency admits, (n,), rad/s; infinite if it is no limit."""
+    """The highest cut-off for each frequency, (n,), rad/s; infinite if there is no limit."""
 
     omega: np.ndarray  # (n,), rad/s
     Ts: float  # s
-    weak: np.ndarray  # that frequency, where P is below WEAK sigma_0
-    apart: np.ndarray  # where |Q| d is what M_max admits
-    highest: float  # rad/s, as P is known no further
+    weak: np.ndarray  # the frequency itself, if P is below WEAK sigma_0
+    apart: np.ndarray  # the cut-off at which |Q| d meets its bound
+    highest: float  # rad/s, because P is not known at higher frequencies
 
 
 class _Least(NamedTuple):
-    """The least of the limits."""
+    """The least of all limits on the cut-off."""
 
     omega: float  # rad/s
     index: int | None = None  # of the frequency that decides; None if `highest` does
     among: np.ndarray | None = None  # (n,), bool: where P is as weak, or as little known
-    last: int = 0  # number of the last frequency that was asked
+    last: int = 0  # number of the last frequency that counts
 
 
 def choose_cutoff(response: Response, M_max: float) -> Cutoff:
-    """The cut-off up to which P reaches and its plants agree, and what decided it."""
+    """Choose the cut-off up to which P reaches and its plants agree; say what decided it."""
     limits = _limits(response, SHARE_OF_M_MAX * M_max)
     least = _least(limits, left_out=False)
     if least.index is None:
@@ -97,7 +103,7 @@ def choose_cutoff(response: Response, M_max: float) -> Cutoff:
 
 
 def _limits(response, M_max):
-    """What limits the cut-off: see the module."""
+    """Compute what limits the cut-off, see the docstring of the module."""
     omega, P, Ts = response.omega, response.P, response.Ts
     values = np.linalg.svd(P, compute_uv=False)[..., -1].min(axis=0)
     rest = at_rest(values) or values.max()
@@ -122,7 +128,7 @@ def _limits(response, M_max):
 
 
 def _least(limits, left_out) -> _Least:
-    """The least limit, without some of the frequencies, (n,) bool, or with all."""
+    """Find the least limit, without the frequencies `left_out`, (n,) bool, or with all."""
     weak, apart = (np.where(left_out, np.inf, each) for each in (limits.weak, limits.apart))
     asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE_SAMPLES
     last = np.sum(asked & (limits.omega * limits.Ts < NEARLY_NYQUIST)) - 1
@@ -134,6 +140,6 @@ def _least(limits, left_out) -> _Least:
 
 
 def _span(omega):
-    """Where a range is, in words."""
+    """State in words where a range is."""
     low, high = (f"{end:.2g}" for end in omega[[0, -1]])
     return f"at {low} rad/s" if low == high else f"from {low} to {high} rad/s"

@@ -1,8 +1,8 @@
-"""Which of the bounds on M for many plants, and for a radius, a program needs: the cuts.
+"""Cuts: the bounds on M, for many plants and for a radius, that a program needs.
 
-Of thousands of plants a handful is active, each at a few frequencies. A program starts with few of
-these bounds and is extended by those that its solution violates, until it violates none. What is
-optimal for a part of the bounds and meets all of them is optimal for all.
+Only a handful of thousands of plants is active, each at a few frequencies. A program starts with
+few of these bounds. The bounds that its solution violates are added, until the solution violates
+none. A solution that is optimal for some of the bounds, and meets all of them, is optimal for all.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ ROUNDING_OF_M = 1e-10  # relative violation of M_max that is rounding
 
 
 def solve(problem: Problem) -> Solution:
-    """Solve a problem at its frequencies; Infeasible if it is."""
+    """Solve a problem at its frequencies; raise Infeasible if no filter meets the bounds."""
     plant, frequency = np.empty((2, 0), dtype=int)
     while True:
         formulation = formulate(problem, plant, frequency)
@@ -29,7 +29,7 @@ def solve(problem: Problem) -> Solution:
 
 
 def violated(problem, solution, limit, plant, frequency):
-    """Plant and frequency of new cuts: at each frequency that which a solution violates most."""
+    """Find plant and frequency of new cuts: the most violated bound at each frequency."""
     L = problem.L(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + ROUNDING_OF_M)), np.full(n, -1)

@@ -22,8 +22,8 @@ from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 from ilctools.warn import warn
 
-LONGEST_REST = 0.1  # of a trial: what may be given up at its end so that it does not grow
-EQUAL_MULTIPLIERS = 1e-3  # relative distance of those that are the same for the solver
+LONGEST_REST = 0.1  # part of a trial that may be given up at its end, so that v does not grow there
+EQUAL_MULTIPLIERS = 1e-3  # relative distance of multipliers that are equal for the solver
 
 
 @on_one_thread
@@ -230,7 +230,7 @@ def synthesise(
 
 
 def without_Q(problem_of, response, M_max) -> Synthesis:
-    """The design with the cut-off that P admits; with half of it, if a trial's ends might grow."""
+    """Design with the chosen cut-off; with half this cut-off if the ends of a trial might grow."""
     refuse_singular(response)
     limit, Ts = choose_cutoff(response, checked_M_max(M_max)), response.Ts
     lowest = max(LOWEST_CUTOFF * np.pi / Ts, response.omega[response.omega > 0][0])
@@ -261,7 +261,7 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
 
 
 def _cost_of_ends(first, half) -> Finding:
-    """What the ends of a trial cost where they halve the cut-off, and what would mend them."""
+    """State the cost of the ends of a trial, which halve the cut-off, and a remedy."""
     samples, norm = first.certificate.settled_trial
     left = half.certificate.settled_trial.norm
     remedy = ""
@@ -274,7 +274,7 @@ def _cost_of_ends(first, half) -> Finding:
 
 
 def _rest_that_mends(design) -> tuple[int, float] | None:
-    """A number of samples at rest that takes the norm of a trial below one, and that norm."""
+    """Find a number of samples at rest for which the norm of a trial is below one, and the norm."""
     problem, certificate = design.problem, design.certificate
     L, samples = certificate.scaled_filter, certificate.settled_trial.samples
     for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
@@ -288,7 +288,7 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 
 
 def designed(problem: Problem) -> Synthesis:
-    """L = B by default, if all bounds hold for it; else K, or L, by the convex problem."""
+    """Take L = B by default, if B meets all bounds; else solve the convex problem for K or L."""
     if problem.base is None and not problem.square:
         raise needs_square("base = None", problem.p, problem.m)
     design = by_formula(problem) if problem.formula_will_do else None
@@ -296,7 +296,7 @@ def designed(problem: Problem) -> Synthesis:
 
 
 def by_formula(problem: Problem) -> Synthesis | None:
-    """L = B, K = 1, if all bounds hold for it and it is asked for nothing else."""
+    """Design L = B, K = 1; None if B breaks a bound, or if another objective is wanted."""
     if problem.objective.kind != "sum" or problem.objective.band is None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
@@ -315,7 +315,7 @@ def refuse_failures(certificate: Certificate):
 
 
 def _remedy(problem):
-    """What to do where bounds at every frequency make a problem hard."""
+    """State a remedy if bounds at every frequency make a problem hard."""
     if not problem.bounds.everywhere:
         return ""
     return (
@@ -325,7 +325,7 @@ def _remedy(problem):
 
 
 def warn_of_findings(design: Synthesis) -> Synthesis:
-    """The design, after a warning for each of its findings."""
+    """Warn of each finding of a design, and return the design."""
     for found in design.certificate.warnings:
         warn(str(found))
     return design
@@ -345,11 +345,11 @@ def certified(problem: Problem) -> Synthesis:
 
 
 def _infeasible(problem) -> InfeasibleError:
-    """The error that says what would be feasible, and where the bounds are most in the way."""
+    """Make the error: what would be feasible, and where the bounds are the main obstacle."""
     posed, nearest = solve_everywhere(problem, nearest=True)
     plant, omega = _obstacle(posed, nearest)
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
-    least = np.ceil(1e6 * nearest.largest) / 1e6  # who follows the advice is not refused again
+    least = np.ceil(1e6 * nearest.largest) / 1e6  # rounded up, so that this M_max is feasible
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
     longer += "" if problem.base is None else ", a larger `reach`, or none of B (pass its order)"
     raised = " or ".join(claim.name for claim in problem.bounds.claims)
@@ -369,7 +369,7 @@ def _infeasible(problem) -> InfeasibleError:
 
 
 def _obstacle(problem, nearest):
-    """The plant and the frequency with the largest multiplier."""
+    """Find the plant and the frequency with the largest multiplier."""
     size, cuts = np.linalg.norm(nearest.U, axis=(1, 2)), nearest.cuts
     plant, at = 0, tied(size).argmax()
     if cuts is not None:

@@ -1,7 +1,7 @@
-"""Bounds at every frequency: those of a grid that a solution passes are added until it passes none.
+"""Bounds at every frequency: bounds that a solution violates are added until none is violated.
 
-Of thousands of bounds a few are active. What is optimal for a part of them and meets all is optimal
-for all.
+The bounds are those on a dense grid. Only a few of these thousands of bounds are active. A solution
+that is optimal for some of the bounds, and meets all of them, is optimal for all.
 """
 
 from dataclasses import replace
@@ -15,15 +15,15 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.cuts import solve
 
-ROUNDING_OF_BOUND = 1e-9  # relative: what passes a bound by less keeps it
-ROUNDS = 50  # at which to give up
-FEW = 100  # bounds that are added in a round, beside those that are passed most
+ROUNDING_OF_BOUND = 1e-9  # relative: a smaller violation of a bound is rounding
+ROUNDS = 50  # number of rounds after which the search gives up
+FEW = 100  # number of bounds that are added in a round, besides the most violated bounds
 
 
 def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution]:
-    """Solve a problem; returned with all frequencies that it needs.
+    """Solve a problem with bounds at every frequency; return all frequencies that it needs, too.
 
-    `nearest`: find the least M_max that can be met.
+    With `nearest`, find the least M_max that can be met.
     """
     grid, chosen = on_a_grid(problem)
     if nearest:
@@ -40,7 +40,7 @@ def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution
 
 
 def _share(problem, solution):
-    """The largest share of a bound that a solution has at each frequency."""
+    """Compute the largest share of a bound that a solution uses at each frequency."""
     limit_M, gain = problem.M_max, 1.0
     if problem.objective.kind == "peak":  # rounding, where it is nearly zero
         limit_M = solution.largest + ROUNDING_OF_BOUND * problem.gap_scale(solution.largest)
@@ -56,7 +56,7 @@ def _share(problem, solution):
 
 
 def _worst(share):
-    """Where bounds are passed: at every crest, and at FEW other frequencies."""
+    """Select frequencies of violated bounds: every crest, and FEW other frequencies."""
     passed = np.flatnonzero(share > 1 + ROUNDING_OF_BOUND)
     crests, _ = find_peaks(np.pad(share, 1), height=1 + ROUNDING_OF_BOUND)
     chosen = np.zeros(len(share), bool)

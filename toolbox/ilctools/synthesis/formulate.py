@@ -1,10 +1,11 @@
-"""From a problem to the program that the solvers take: bounds, and a basis for the filter.
+"""Translate a problem into the program that the solvers take: bounds, and a basis for the filter.
 
-Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
-L(z) = sum_k C_k z^k that minimise a weighted sum, or the largest, of sigma_max(M_i), where
-M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
-frequencies, where W is I / L_max. Each of these is a `solver.bounds.Bound`, and so are the cuts,
-those for other plants and for a radius.
+P_i (m x m) and Q_i (scalar) are given at the frequencies omega_i. The unknowns are the real
+coefficients C_k of L(z) = sum_k C_k z^k. A weighted sum of sigma_max(M_i), or the largest
+sigma_max(M_i), is minimised, where M_i = Q_i (I - P_i L_i). The constraints are
+sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all frequencies, where W is I / L_max. Each
+constraint is a `solver.bounds.Bound`. The cuts, which are constraints for other plants and for a
+radius, are bounds, too.
 
 The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
 each frequency.
@@ -22,12 +23,13 @@ from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.solver.bounds import Bound
 from ilctools.synthesis.solver.program import GENEROUS, Optimum, Program
 
-SMALLEST_RADIUS = 1e-10  # that counts as such, relative to the plant
-SMALLEST_WEIGHT = 1e-8  # of a frequency in the basis, relative: else rounding would be amplified
+SMALLEST_RADIUS = 1e-10  # relative to the plant: a smaller radius is replaced by this one
+# Smallest weight of a frequency in the basis, relative. Smaller ones would amplify rounding.
+SMALLEST_WEIGHT = 1e-8
 
 
 def whitened_basis(problem):
-    """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
+    """Compute Phi = R^-T [z; z^2; ...], orthonormal with the weights of M and W L; and R."""
     Q = np.abs(problem.Q)
     P = problem.through_base(problem.turned(problem.P), np.arange(len(Q)))
     weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
@@ -40,7 +42,7 @@ def whitened_basis(problem):
 
 
 def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
-    """The bound on M, (40), for pairs of a plant and a frequency, or on [M; |Q| r L]."""
+    """Make the bound on M, (40), or on [M; |Q| r L], for pairs of a plant and a frequency."""
     if radius is not None:
         radius = np.maximum(radius, SMALLEST_RADIUS * np.abs(problem.P).max())
     F, T = problem.affine(plant, frequency, radius)
@@ -49,13 +51,13 @@ def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
 
 
 def bound_on_L(W, frequency, level) -> Bound:
-    """The bound on W L, (46), at some frequencies."""
+    """Make the bound on W L, (46), at some frequencies."""
     W = _long(W)
     return Bound(0 * W, W, frequency, np.full(len(frequency), level), within_radius=False)
 
 
 def _long(X):
-    """A matrix for each frequency as a matrix of long vectors."""
+    """Turn a matrix for each frequency into one matrix of long vectors."""
     return np.ascontiguousarray(np.moveaxis(X, 0, -1), dtype=complex)
 
 
@@ -66,11 +68,11 @@ class Formulation:
     problem: Problem
     program: Program
     R: np.ndarray  # (order, order): coefficients are the rows of x R^-T
-    bounds: dict[str, Bound]  # of the program: "M", "L", "cuts", "beside"; none without columns
-    plant: np.ndarray  # of each cut
+    bounds: dict[str, Bound]  # bounds of the program by "M", "L", "cuts", "beside"; none is empty
+    plant: np.ndarray  # plant of each cut
 
     def solution(self, optimum: Optimum) -> Solution:
-        """The filter and the multipliers of an optimum of the program."""
+        """Compute the filter and the multipliers from an optimum of the program."""
         problem, program = self.problem, self.program
         m, n = problem.channels, len(problem.omega)
         C, U = np.zeros((m, m, problem.order)), np.zeros((n, m, m), dtype=complex)
@@ -86,22 +88,22 @@ class Formulation:
 
 
 class Levels(NamedTuple):
-    """Which number bounds what: a t, or after these a limit, counted from zero."""
+    """The number of each bound: the t are counted from zero, and then the limits follow."""
 
-    cost: np.ndarray  # of each t
+    cost: np.ndarray  # cost of each t
     limits: list[float]  # t <= limits[0]
     M: np.ndarray  # (n,): number of the bound on the nominal M at each frequency
-    cuts: int  # on M of other plants, or within a radius
-    L: int  # on W L
+    cuts: int  # number of the bound on M of other plants, or within a radius
+    L: int  # number of the bound on W L
 
     @property
     def one(self) -> int:
-        """Number of the limit 1, the last."""
+        """Number of the limit 1, which is the last limit."""
         return len(self.cost) + len(self.limits) - 1
 
 
 def levels_of(problem) -> Levels:
-    """The levels of (39), of (45) with (46), or of the least gain."""
+    """Define the levels for (39), for (45) with (46), or for the least gain."""
     n, one_t = len(problem.omega), np.ones(1)
     match problem.objective.kind:
         case "gain":  # minimise t:  W L <= t,  M <= M_max
@@ -122,7 +124,7 @@ def levels_of(problem) -> Levels:
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
-    """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
+    """State (39), (45) with (46), or the least gain, with cuts at these plants and frequencies."""
     every, kind = np.arange(len(problem.omega)), problem.objective.kind
     nominal, plant, frequency = _bounded(problem, np.array(plant, int), np.array(frequency, int))
     levels, (at, W_beside) = levels_of(problem), problem.L_bound_beside
@@ -143,7 +145,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
 
 
 def _bounded(problem, plant, frequency):
-    """Frequencies of bounds on the nominal M, and plants and frequencies of the cuts."""
+    """Select frequencies of bounds on the nominal M, and plants and frequencies of the cuts."""
     summed = problem.objective.summed
     of_M = (problem.Q != 0) | summed  # elsewhere L alone is bounded
     # the bound within the radius implies the nominal one

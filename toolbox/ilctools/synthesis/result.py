@@ -1,4 +1,4 @@
-"""What comes of a synthesis: a filter with what is known about it, or why there is none."""
+"""The result of a synthesis: a filter with its certificate."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,13 +26,13 @@ from ilctools.threads import on_one_thread
 
 @dataclass(frozen=True, eq=False)
 class Synthesis:
-    """A learning filter and what was checked about it, from singular values."""
+    """A learning filter, with what was checked about it by singular values."""
 
     certificate: Certificate  # of optimality and bounds, independent of the solver
 
     @property
     def problem(self) -> Problem:
-        """The problem as stated."""
+        """The problem that was solved."""
         return self.certificate.problem
 
     @cached_property
@@ -54,12 +54,12 @@ class Synthesis:
 
     @property
     def sigma_L(self) -> np.ndarray:
-        """Largest singular values of L, in units of `scale`, there, shape (n,)."""
+        """Largest singular values of L at the design frequencies, in units of `scale`, (n,)."""
         return largest_singular_values(self._L)
 
     @property
     def value(self) -> float:
-        """The objective."""
+        """The value of the objective."""
         return self.certificate.value
 
     @property
@@ -74,7 +74,7 @@ class Synthesis:
 
     @property
     def Q(self) -> ZeroPhaseButterworth | Any:
-        """The filter Q, if it is one; else its samples at `omega`."""
+        """The filter Q, if Q is a filter; else its samples at `omega`."""
         sampled = isinstance(self.problem.lowpass, SampledQ)
         return self.problem.Q if sampled else self.problem.lowpass
 
@@ -93,14 +93,14 @@ class Synthesis:
         rest, gain :
             As for :class:`ilctools.Law`.
         limits : dict, optional
-            Lowest and highest value of commands and of outputs, by name. An end is a number, one
-            number for each sample (shape (time,)), or None for no limit. For commands see
+            Lowest and highest value of commands and of outputs, by name. Each value is a number,
+            one number for each sample (shape (time,)), or None for no limit. For commands see
             :class:`ilctools.Law`. Each plant within the radius of the design keeps the limits of
-            outputs in every trial; print the law's ``output_limits`` for the conditions. Without a
+            outputs in every trial. Print the law's ``output_limits`` for the conditions. Without a
             radius, the limits of outputs hold for the model only.
         noise : dict, optional
-            Bound of what does not repeat in a sample, for outputs with limits, by name. The law
-            keeps twice this distance from the limits.
+            Bound on the non-repeating noise in one sample, for outputs with limits, by name. The
+            law keeps twice this distance from the limits.
         model : control.StateSpace, optional
             A model of P, which limits of outputs need if P is known by samples. The distance of the
             model from the samples is added to their radius.
@@ -119,7 +119,7 @@ class Synthesis:
         )  # fmt: skip
 
     def _limits_by_kind(self, limits, noise, model):
-        """Those of commands, None where none is stated, and those of outputs."""
+        """Split limits into limits of commands, or None, and limits of outputs, or None."""
         outputs, inputs = ([str(name) for name in names] for names in self.problem.response.names)
         of_outputs = {}
         if isinstance(limits, dict):

@@ -1,4 +1,4 @@
-"""Designs that search for more than a filter: the least gain."""
+"""Search for the filter of least gain among all filters of least peak."""
 
 import reprlib
 from dataclasses import replace
@@ -14,23 +14,24 @@ from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
-ENOUGH = 1.5  # times the gain of a filter of least peak: that filter must be well within the bound
+ENOUGH = 1.5  # factor on the gain of a filter of least peak, which must be well within the bound
 SAME_PEAK = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 
 
 @on_one_thread
 def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
-    """Design the filter of least gain among those for which the largest sigma_max(M) is least.
+    """Design the filter of least gain among all filters of least peak.
 
-    That largest value, (45) of the paper, is what a trial leaves at worst of what is left to learn.
-    Without a bound on L, (46), it may be reached by many filters, whose gains differ by orders of
-    magnitude; which of them a solver returns is its own affair. This is the one with the least
-    max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do are too
-    much alike for the solver to tell, to 1e-6 or 1e-4.
+    The peak is the largest sigma_max(M), (45) of the paper. One trial leaves at most this fraction
+    of the remaining error. Without a bound on L, (46), many filters may have the least peak,
+    and their gains differ by orders of magnitude. A solver then returns an arbitrary one of these
+    filters. This function returns the filter with the least max sigma_max(L). The filter keeps the
+    least peak to a relative 1e-9. If such filters are too similar for the solver to distinguish,
+    the filter keeps the peak to 1e-6 or 1e-4.
 
-    Parameters and errors as for :func:`synthesise`, apart from `objective` and `L_max`; Q is given,
-    `base` None.
-    The result is that of (45) with (46), where `problem.L_max` is that gain.
+    Parameters and errors are the same as for :func:`synthesise`, except for `objective` and
+    `L_max`. Q must be given, and `base` must be None. The result is the result of (45) with (46),
+    where `problem.L_max` is the least gain.
 
     See Also
     --------

@@ -1,1 +1,1 @@
-"""The estimator: a regularised ARX model of one output, step by step; `regression` is its door."""
+"""The estimator, a regularised ARX model of one output; `regression` is its entry point."""

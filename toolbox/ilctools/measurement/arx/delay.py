@@ -1,12 +1,12 @@
-"""Delays of the inputs, where correlations show one and the posterior is larger for it.
+"""Delays of the inputs, if correlations show a delay and the posterior is larger with this delay.
 
-Lags of B are counted from the delay of its input. Delays that are tried are a little less than the
-lag of the largest correlation between an input and the output, or between their moves. In the
-spectrum of the correlation phases count more than sizes (C. H. Knapp and G. C. Carter, IEEE Trans.
-Acoust. Speech Signal Process. 24 (1976) 320-327).
+Lags of B are counted from the delay of its input. The delays that are tried are a little less than
+the lag of the largest correlation between an input and the output, or between their moves. In the
+spectrum of the correlation, phases have more weight than magnitudes (C. H. Knapp and G. C. Carter,
+IEEE Trans. Acoust. Speech Signal Process. 24 (1976) 320-327).
 
-Before the data any delay up to the longest trial is as likely as another: one costs log(longest) in
-(4).
+In the prior, all delays up to the longest trial are equally likely. A delay therefore costs
+log(longest) in (4).
 """
 
 from collections.abc import Sequence
@@ -19,18 +19,18 @@ from ilctools.measurement.arx.regressors import data_of
 from ilctools.measurement.arx.trials import Trials, contrasts, longest_of
 
 LEAST_DELAY = 5  # samples: the least lag of largest correlation that counts as a delay
-# Delays that are tried, relative to that lag: of the signals, whose correlation is wide, and of
-# their moves. Counted: of 100 records with a long delay both are near.
+# Delays that are tried, relative to the lag of largest correlation of the signals, which is wide,
+# and of their moves. In a count of 100 records with a long delay, both are near.
 ROOM_OF_SIGNALS, ROOM_OF_MOVES = 0.9, 0.98
-# The power of the sizes that is taken out of a spectrum: of 1, only phases would count. Counted: of
-# 100 records with a long delay 0.8 is near in 99.
+# The spectrum is divided by this power of its magnitudes. With 1, only phases would count. In a
+# count of 100 records with a long delay, 0.8 is near in 99.
 WHITENING = 0.8
 
 
 def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=None) -> Fit:
-    """The likeliest fit with the least delays, (m + d,), or with delays that correlations show.
+    """Find the likeliest fit, with the least delays (m + d,) or with delays from correlations.
 
-    `direct` and `gain`: see `data_of`. The cost of a fit is (4) with that of its delays.
+    `data_of` explains `direct` and `gain`. The cost of a fit is (4) plus the cost of its delays.
     """
     commanded, longest = groups[0].commanded, longest_of(groups)
     alone = [slice(j, j + 1) for j in range(commanded, len(least))]
@@ -55,9 +55,9 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
 
 
 def _latest(groups, differences):
-    """Lags of largest correlation of each input, or of its moves, with the output, (m + d,).
+    """Find the lag of largest correlation of each input with the output, (m + d,).
 
-    `differences`: 0 of the signals, 1 of their moves.
+    `differences` is 0 for the correlation of signals, and 1 for the correlation of their moves.
     """
     longest, products = longest_of(groups), 0.0
     for group in groups:

@@ -1,24 +1,26 @@
 """The marginal likelihood of the hyperparameters, and its maximum with the prior.
 
-Without unknowns, which are integrated over, y is normal. With (3), n_1 samples of means over trials
-of the weight w among n, the negative logarithm of its density times the prior of eta is
+The unknowns are integrated over, and y is then normal. Equation (3) defines r and U. Among the n
+samples, n_1 belong to means over trials, which have the weight w. The negative logarithm of the
+density of y times the prior of eta is
 
     n / 2 log r + log |U| - n_1 / 2 log w + |(eta - centre) / width|^2 / 2 -> min,              (4)
 
-as s^2 = r / n is the likeliest. Some entries of eta are relative to the output, see `prior`: their
-distance from the centre is that of eta + log s^2.
+because s^2 = r / n is the likeliest. Some entries of eta are relative to the output, see `prior`.
+For these entries, the distance from the centre is the distance of eta + log s^2.
 
-The gradient and the curvature are exact. Let J_k and w_k be the slopes of log D and of w over entry
-k of eta, z = D^(-1/2) x, V = (U' U)^-1, and of means over trials e_1 = y_1 - X_1 x,
-g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). With D^(1/2) (.) D^(1/2) taken as fixed,
-U' U moves by M_k = w_k K - diag(J_k), its product with z by q_k = w_k g + diag(J_k) z, and
+The gradient and the curvature are exact. Let J_k and w_k be the derivatives of log D and of w with
+respect to entry k of eta, z = D^(-1/2) x and V = (U' U)^-1. For means over trials, let
+e_1 = y_1 - X_1 x, g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). Take D^(1/2) (.) D^(1/2)
+as fixed. Then U' U moves by M_k = w_k K - diag(J_k). The product of U' U with z moves by
+q_k = w_k g + diag(J_k) z. The derivatives are
 
     dr = w_k e_1' e_1 - z' diag(J_k) z,          d^2 r = -2 q_k' V q_l + ...,
     d log |U| = (tr V M_k + sum of J_k) / 2,     d^2 log |U| = -tr(V M_k V M_l) / 2 + ...,     (4a)
 
 where the dots are what the curvature of D and of w adds to the slopes.
 
-With a drift and without one (4) may have a minimum each: the search starts near both.
+(4) may have one minimum with a drift and another one without. The search starts near both.
 """
 
 from functools import cached_property, lru_cache
@@ -39,19 +41,19 @@ from ilctools.measurement.arx.prior import (
 from ilctools.measurement.arx.regressors import Data
 from ilctools.measurement.arx.unknowns import Kind
 
-# Of Newton's method with a trust region: eta may move by as much at once, a factor of 400 in
-# variance. From where the gradient is that small, `NEWTON_STEPS` lead to rounding.
+# Options of Newton's method with a trust region: eta may move by the largest radius at once, which
+# is a factor of 400 in variance. If the gradient is below gtol, `NEWTON_STEPS` lead to rounding.
 SEARCH = {"initial_trust_radius": 2.0, "max_trust_radius": 6.0, "gtol": 1e-2, "maxiter": 60}
 NEWTON_STEPS = 3
 LONGEST_NEWTON_STEP = 1.0  # of each hyperparameter
-# A search ends where (4) is above the least by more than so many times of what a Newton step gains.
+# A search ends if (4) exceeds the least value by more than PATIENCE times what a Newton step gains.
 PATIENCE = 4.0
 NAMES = Hyperparameters._fields
 LOG_T, RHO = NAMES.index("log_T"), NAMES.index("rho")
 
 
 class Likelihood:
-    """(4) at one eta, with its gradient and its curvature."""
+    """The function (4) at one eta, with its gradient and its curvature."""
 
     def __init__(self, eta: np.ndarray, data: Data):
         self.eta, self.data = np.array(eta), data
@@ -66,7 +68,7 @@ class Likelihood:
     def _slopes(self):
         """The gradient and the curvature of (4)."""
         r, log_U = self._of_parts()
-        of_r = r.first / self._at.r  # those of log r
+        of_r = r.first / self._at.r  # the slopes of log r
         curved = r.second / self._at.r - np.outer(of_r, of_r)
         # n' = n + 2 sum (eta - centre) / width^2 over what is relative to the output
         n = self.data.n + 2 * OF_OUTPUT @ (self._away / WIDTH)
@@ -76,16 +78,16 @@ class Likelihood:
 
     @property
     def gradient(self) -> np.ndarray:
-        """Of (4) over eta, (entry,)."""
+        """The gradient of (4) with respect to eta, (entry,)."""
         return self._slopes.first
 
     @property
     def curvature(self) -> np.ndarray:
-        """Of (4) over eta, (entry, entry)."""
+        """The matrix of second derivatives of (4) with respect to eta, (entry, entry)."""
         return self._slopes.second
 
     def _of_parts(self):
-        """(4a): the slopes of r, and those of log |U| - n_1 / 2 log w."""
+        """Compute by (4a) the slopes of r, and the slopes of log |U| - n_1 / 2 log w."""
         data, at, z = self.data, self._at, self._at.z
         J, curved = _slopes_of_log_D(self.eta, data.layout)
         half = at.inverse()
@@ -103,7 +105,7 @@ class Likelihood:
         return r, log_U
 
     def _add_means(self, V, J, r, log_U, q, traces):
-        """What is added to these, where rho moves the weight of means."""
+        """Add to the slopes what rho contributes, as rho moves the weight of means."""
         data, at, w = self.data, self._at, self._at.weight
         residual = np.append(-at.root_D * at.z, 1.0)
         products = data.means @ residual  # [X_1, y_1]' e_1
@@ -122,7 +124,7 @@ class Likelihood:
 
 
 def _slopes_of_log_D(eta, layout):
-    """J, (unknown, entry), and the curvature of log D over log T, (unknown,)."""
+    """Compute J, (unknown, entry), and the curvature of log D over log T, (unknown,)."""
     of_D = prior(Hyperparameters(*eta), layout)
     kinds = [NAMES.index(kind.hyperparameter) for kind in Kind]
     J = np.zeros((layout.size, len(NAMES)))
@@ -132,7 +134,7 @@ def _slopes_of_log_D(eta, layout):
 
 
 class Slopes(NamedTuple):
-    """First and second derivatives over eta."""
+    """First and second derivatives with respect to eta."""
 
     first: np.ndarray  # (entry,)
     second: np.ndarray  # (entry, entry)
@@ -147,9 +149,9 @@ class Fit(NamedTuple):
 
 
 def likeliest(data: Data, first=FIRST_GUESSES, least: float = np.inf) -> Fit:
-    """The minimum of (4) that is found from the first guesses.
+    """Find the minimum of (4) from the first guesses.
 
-    A search that will not come below `least` ends early, somewhere above.
+    A search that will not come below `least` ends early, at a value above `least`.
     """
     found = [_search(data, eta, least) for eta in first]
     best = min(found, key=lambda likelihood: likelihood.value)
@@ -157,7 +159,7 @@ def likeliest(data: Data, first=FIRST_GUESSES, least: float = np.inf) -> Fit:
 
 
 def _search(data, first, least):
-    """The likelihood where Newton's method leads to from a first guess."""
+    """Compute the likelihood at the point to which Newton's method leads from a first guess."""
 
     @lru_cache(maxsize=2)  # scipy asks for value, gradient and curvature one by one
     def kept(entries):
@@ -179,26 +181,26 @@ def _search(data, first, least):
 
 
 class Newton(NamedTuple):
-    """A Newton step, where (4) is taken to be no less curved than the prior."""
+    """A Newton step, for which (4) is taken to be no less curved than the prior."""
 
     step: np.ndarray  # (entry,)
-    gain: float  # by how much a parabola falls
-    S: np.ndarray  # by which the curvature is (S S)^-1, (entry, entry)
+    gain: float  # by how much a parabola falls in this step
+    S: np.ndarray  # (entry, entry): the curvature is (S S)^-1
 
 
 def newton(at: Likelihood) -> Newton:
-    """The Newton step from a point."""
+    """Compute the Newton step from a point."""
     values, vectors = np.linalg.eigh(at.curvature)
-    # Symmetric, so that S has no signs to choose.
+    # S is symmetric, so that no signs have to be chosen.
     S = vectors / np.sqrt(np.maximum(values, WIDTH.max() ** -2)) @ vectors.T
     step = -S @ S @ at.gradient
     return Newton(step, -step @ at.gradient / 2, S)
 
 
 def polished(fit: Fit) -> tuple[Fit, np.ndarray]:
-    """The fit to rounding, and S, by which the curvature of (4) is (S S)^-1.
+    """Refine a fit to rounding; returned with S, where the curvature of (4) is (S S)^-1.
 
-    What is estimated does not depend on where a search ends.
+    The estimate then does not depend on where a search ends.
     """
     at = Likelihood(fit.eta, fit.data)
     for _ in range(NEWTON_STEPS):

@@ -1,12 +1,12 @@
-"""The posterior of the unknowns, if the hyperparameters are given.
+"""The posterior of the unknowns, for given hyperparameters.
 
-With the regressors X, y and the variances D of the prior, all in units of s,
+With the regressors X, the output y and the variances D of the prior, all in units of s,
 
     U' U = I + D^(1/2) X' X D^(1/2),    x = D^(1/2) U^-1 h,    U' h = D^(1/2) X' y,             (3)
     s^2 = r / n,    r = y' y - h' h,
 
-x is the mean of the unknowns, s^2 D^(1/2) (U' U)^-1 D^(1/2) their covariance. Products X' X, X' y
-and y' y of means over trials have a weight.
+x is the mean of the unknowns, and s^2 D^(1/2) (U' U)^-1 D^(1/2) is their covariance. The products
+X' X, X' y and y' y of means over trials have a weight.
 """
 
 from typing import NamedTuple
@@ -18,14 +18,15 @@ from scipy.linalg.lapack import dpotri
 from ilctools.measurement.arx.prior import Hyperparameters, prior
 from ilctools.measurement.arx.regressors import Data
 
-# Added to the diagonal of U' U, relative to it. Cholesky's rounding is a few hundred times 1e-16 of
-# it: so it stays positive definite also without noise.
+# Added to the diagonal of U' U, relative to the diagonal. Rounding in Cholesky's method is a few
+# hundred times 1e-16 of the diagonal. U' U thus stays positive definite even without noise.
 CHOLESKY_ROUNDING = 1e-12
-LEAST_RESIDUE = 1e-14  # r relative to y' y, means with a weight of one: rounding counts as noise
+# Least r relative to y' y, where means have a weight of one: rounding counts as noise.
+LEAST_RESIDUE = 1e-14
 
 
 class Posterior(NamedTuple):
-    """(3), for unknowns in units of D^(1/2)."""
+    """The quantities of (3), for unknowns in units of D^(1/2)."""
 
     root_D: np.ndarray
     U: np.ndarray
@@ -35,31 +36,31 @@ class Posterior(NamedTuple):
 
     @property
     def z(self) -> np.ndarray:
-        """D^(-1/2) x."""
+        """The mean of the unknowns in units of D^(1/2): D^(-1/2) x."""
         return solve_triangular(self.U, self.h, check_finite=False)
 
     @property
     def mean(self) -> np.ndarray:
-        """x."""
+        """The mean x of the unknowns."""
         return self.root_D * self.z
 
     def inverse(self) -> np.ndarray:
-        """(U' U)^-1, its upper half and the diagonal."""
+        """Compute the upper half of (U' U)^-1, with the diagonal."""
         return dpotri(self.U)[0]
 
     @property
     def spread(self) -> np.ndarray:
-        """(X' X + D^-1)^-1, by which an error in X' y moves x."""
+        """The matrix (X' X + D^-1)^-1, by which an error in X' y moves x."""
         inverse = self.inverse() * np.outer(self.root_D, self.root_D)
         return np.triu(inverse) + np.triu(inverse, 1).T
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """U'^-1 D^(1/2) of columns (unknown, column), in which the covariance is s^2 I."""
+        """Multiply columns (unknown, column) by U'^-1 D^(1/2): their covariance is then s^2 I."""
         return solve_triangular(self.U, self.root_D[:, None] * columns, trans=1)
 
 
 def posterior(eta: np.ndarray, data: Data) -> Posterior:
-    """(3), at one vector of hyperparameters."""
+    """Compute (3) at one vector of hyperparameters."""
     eta = Hyperparameters(*eta)
     weight = eta.weight if data.n_1 else 1.0
     root_D = np.exp(prior(eta, data.layout).log_D / 2)

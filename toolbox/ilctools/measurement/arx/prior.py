@@ -1,19 +1,21 @@
 """The prior: variances of the unknowns, and the hyperparameters eta on which they depend.
 
-Coefficients decay and neighbours are alike, by the tuned-correlated kernel of their lags i and j,
+Coefficients decay, and neighbouring coefficients are alike. The prior is the tuned-correlated
+kernel of their lags i and j,
 
     cov(g_i, g_j) = s^2 c exp(-max(i, j) / T),
 
 with one c for each kind of unknowns, and one T (T. Chen, H. Ohlsson and L. Ljung, Automatica 48
-(2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). In increments x from lag
-to lag it is diagonal,
+(2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). For the increments x from
+lag to lag, the covariance is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-and D = c for slow parts and the steps of a drift. What a start leaves, an input that rested
-elsewhere among it, decays from the latest delay on only. e is white with variance s^2.
+and D = c for slow parts and the steps of a drift. The response to the initial condition decays only
+from the latest delay on. The response includes the effect of an input that rested elsewhere before.
+The noise e is white with variance s^2.
 
-The hyperparameters are logarithms, and are normal beforehand, each by itself: see `ASSUMED`.
+The hyperparameters are logarithms. In the prior they are normal and independent, see `ASSUMED`.
 """
 
 from typing import NamedTuple
@@ -25,7 +27,7 @@ from ilctools.measurement.arx.unknowns import Kind, Layout
 
 
 class Hyperparameters(NamedTuple):
-    """eta by name. A search takes it as a vector, np.array(eta)."""
+    """The hyperparameters eta by name; a search takes them as a vector, np.array(eta)."""
 
     log_c_A: float
     log_c_B: float
@@ -36,7 +38,7 @@ class Hyperparameters(NamedTuple):
     log_c_SLOW: float
 
     def of_kinds(self) -> np.ndarray:
-        """log c of each :class:`Kind`, in its order."""
+        """Return log c of each :class:`Kind`, in the order of :class:`Kind`."""
         return np.array([getattr(self, kind.hyperparameter) for kind in Kind])
 
     @property
@@ -46,13 +48,13 @@ class Hyperparameters(NamedTuple):
 
 
 class Assumed(NamedTuple):
-    """What is assumed of a hyperparameter before the data: it is normal."""
+    """The normal prior of one hyperparameter."""
 
     centre: float
     # The standard deviation. It is wide: 3 is a factor of 20 in variance either way.
     width: float = 3.0
-    # Whether it is relative to the output: then log(c s^2) has this centre, not log c, where the
-    # output is in units of its RMS.
+    # Whether the hyperparameter is relative to the output: then log(c s^2) has this centre, and not
+    # log c. The output is in units of its RMS.
     of_output: float = False
 
 
@@ -75,25 +77,25 @@ CENTRE, WIDTH, OF_OUTPUT = np.array(ASSUMED).T
 LOG_NOISE, LARGE_DRIFT = -6, 6.0
 WITHOUT_DRIFT = Hyperparameters(*(CENTRE - LOG_NOISE * OF_OUTPUT))
 FIRST_GUESSES = np.array([WITHOUT_DRIFT, WITHOUT_DRIFT._replace(log_c_DRIFT=LARGE_DRIFT)])
-# Beyond it a logarithm is as good as infinite: exp(50) is more than a double has digits.
+# A larger logarithm is as good as infinite: exp(50) is more than a double has digits.
 LARGEST_LOGARITHM = 50.0
 
 
 def standardised(eta: np.ndarray, variance: float) -> np.ndarray:
-    """By how many widths eta is away from its centre, where s^2 is this variance."""
+    """Compute by how many widths eta is away from its centre, if s^2 is this variance."""
     return (eta + OF_OUTPUT * np.log(variance) - CENTRE) / WIDTH
 
 
 class Prior(NamedTuple):
-    """(2) of each unknown."""
+    """The prior (2) of each unknown."""
 
     log_D: np.ndarray  # (unknown,)
-    slope: np.ndarray  # of log D over log T, (unknown,)
-    curvature: np.ndarray  # of log D over log T, (unknown,)
+    slope: np.ndarray  # derivative of log D over log T, (unknown,)
+    curvature: np.ndarray  # second derivative of log D over log T, (unknown,)
 
 
 def prior(eta: Hyperparameters, layout: Layout) -> Prior:
-    """(2): the variances of the unknowns, relative to s^2."""
+    """Compute (2), the variances of the unknowns relative to s^2."""
     per_T = np.exp(-eta.log_T)  # 1 / T
     lag, gap = layout.lag * per_T, np.minimum(layout.gap * per_T, LARGEST_LOGARITHM)
     log_D = eta.of_kinds()[layout.kind] - lag + np.log(-np.expm1(-gap))  # (2)

@@ -1,14 +1,15 @@
-"""The covariance of the unknowns, over the hyperparameters that the records admit.
+"""The covariance of the unknowns, integrated over the hyperparameters.
 
-About the likeliest eta the hyperparameters are taken to be normal, with the inverse S S' of the
-curvature of (4) as their covariance. They are integrated over by the points of a cubature rule,
+Near the likeliest eta, the hyperparameters are taken to be normal. Their covariance is the inverse
+S S' of the curvature of (4). A cubature rule integrates over the hyperparameters by the points
 
     eta + HEAVY sqrt(d) S_k,    eta - HEAVY sqrt(d) S_k,    k = 1 ... d,                        (5)
 
-d the number of entries and S_k the columns of S (I. Arasaratnam and S. Haykin, IEEE Trans. Autom.
-Control 54 (2009) 1254-1269, where HEAVY is one). At each point the unknowns have a mean and a
-covariance (3); their covariance over all points is the mean of the covariances, and of the squares
-of what the means differ from that at the likeliest eta. No number is random.
+where d is the number of entries and S_k are the columns of S (I. Arasaratnam and S. Haykin, IEEE
+Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one). At each point the unknowns have a
+mean and a covariance (3). The covariance over all points has two parts. The first part is the mean
+of the covariances. The second part is the mean square of the difference between each mean and the
+mean at the likeliest eta. No number is random.
 """
 
 import numpy as np
@@ -17,11 +18,11 @@ from ilctools.measurement.arx.posterior import posterior
 from ilctools.measurement.arx.prior import LARGEST_LOGARITHM
 from ilctools.measurement.arx.regressors import Data
 
-HEAVY = 1.2  # tails of eta, relative to normal ones: counted
+HEAVY = 1.2  # tails of eta, relative to normal ones: found by counting
 
 
 def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
-    """The covariance of x, over the points, (unknown, unknown)."""
+    """Compute the covariance of x over the points, (unknown, unknown)."""
     apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])  # (5); S is symmetric
     points = np.clip(eta + apart, -LARGEST_LOGARITHM, LARGEST_LOGARITHM)
     mean, C = posterior(eta, data).mean, 0.0

@@ -1,10 +1,10 @@
-"""P of one output from signals as they come, and how far off it may be: the estimator.
+"""The estimator: P of one output from any signals, and how wrong the estimate may be.
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-The inputs u are those that were commanded, of which P is asked, and then the known disturbances,
-which were measured. A known disturbance has a B of its own, which is estimated like the others.
-P = B / A, of the commanded inputs. The steps, each in a module of this room:
+The inputs u are the commanded inputs, followed by the known disturbances, which were measured. A
+known disturbance has a B of its own, which is estimated like the others. The response to the
+commanded inputs is P = B / A. Each step has a module in this folder:
 
 =============  =====================================================================  ==========
 trials         a mean and differences of trials, one by one
@@ -13,7 +13,7 @@ regressors     X of them, and the products X' X and X' y
 prior          variances of the unknowns, by hyperparameters eta                      (2)
 posterior      of the unknowns, at one eta                                            (3)
 likelihood     of eta, its gradient and its maximum                                   (4)
-delay          of each input, where the posterior is larger for it
+delay          of each input, if the posterior is larger with this delay
 quadrature     the covariance of the unknowns over eta                                (5)
 regression     P, and the covariance of its error                                     (6)
 =============  =====================================================================  ==========
@@ -39,12 +39,13 @@ from ilctools.measurement.arx.regressors import Data
 from ilctools.measurement.arx.trials import Trials
 from ilctools.measurement.arx.unknowns import Kind, coefficients
 
-# Smaller, less of the tail of a response is folded upon its beginning; larger, less rounding.
+# With a smaller value, less of a response's tail is folded upon its beginning. With a larger value,
+# there is less rounding.
 FOLDED = 1e-10
 
 
 class ErrorOfP(NamedTuple):
-    """What (6) makes of the covariance of the unknowns, at n angles omega Ts."""
+    """The error of P by (6), from the covariance of the unknowns, at n angles omega Ts."""
 
     of_P: np.ndarray  # covariance of dP, real parts first, (n, 2 m, 2 m)
     of_A: np.ndarray  # variances of the real and the imaginary part of dA / A, (2, n)
@@ -52,16 +53,16 @@ class ErrorOfP(NamedTuple):
 
 @dataclass(frozen=True)
 class Regression:
-    """P from m commanded inputs to one output, and the error that it may have."""
+    """The estimate of P from m commanded inputs to one output, and its possible error."""
 
-    commanded: int  # m: inputs of which P is asked
+    commanded: int  # m, the number of commanded inputs
     mean: np.ndarray  # x, (unknown,)
     data: Data
     posterior: Posterior  # for the likeliest hyperparameters
     C: np.ndarray  # covariance of x, over the points of the quadrature, (unknown, unknown)
 
     def response(self, omega: np.ndarray) -> np.ndarray:
-        """P at angles omega Ts, shape (n, m)."""
+        """Compute P at angles omega Ts, shape (n, m)."""
         A, layout = self._A(omega), self.data.layout
         B = [
             layout.waves_of_B(j, omega) @ self.mean[layout.where_B(j)]
@@ -74,7 +75,7 @@ class Regression:
         return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
 
     def covariance(self, omega: np.ndarray) -> ErrorOfP:
-        """The covariance of (6) at angles omega Ts, (n,)."""
+        """Compute the covariance of (6) at angles omega Ts, (n,)."""
         layout, P, A = self.data.layout, self.response(omega), self._A(omega)[:, None]
         of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
         of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
@@ -99,28 +100,28 @@ class Regression:
 
     @property
     def stable(self) -> bool:
-        """Whether the estimate of A has no zero outside the unit circle, by how often it turns."""
+        """Whether the estimate of A has no zero outside the unit circle, by its winding number."""
         return bool(abs(self._turns.sum()) < 1)
 
     @property
     def grows_at(self) -> float:
-        """The angle omega Ts about which an estimate of A turns that is not stable."""
+        """The angle omega Ts about which the estimate of A turns, if the estimate is unstable."""
         turns = self._turns
         return np.pi * np.argmax(np.sign(turns.sum()) * turns) / len(turns)
 
     @property
     def _turns(self):
-        """By how much A turns from each angle to the next, from zero to pi."""
+        """Phase change of A from each angle to the next, from zero to pi."""
         a = self.denominator
         A = np.fft.rfft(a, 2 * len(a) + 4096)
         return np.angle(A[1:] / A[:-1])
 
     def denominator_at(self, omega: np.ndarray) -> np.ndarray:
-        """A at angles omega Ts, (n,)."""
+        """Compute A at angles omega Ts, (n,)."""
         return self._A(omega)
 
     def numerators(self, n: int) -> np.ndarray:
-        """The estimates of B over n lags, (m + d, n): disturbances stand last."""
+        """Compute the estimates of B over n lags, (m + d, n); disturbances stand last."""
         layout, poles, B = self.data.layout, self.data.layout.poles, []
         for j, knots in enumerate(layout.knots_of_B):
             B.append(coefficients(self.mean[layout.where(Kind.B, j)], knots, n))
@@ -129,10 +130,11 @@ class Regression:
         return np.array(B)
 
     def impulse(self, n: int) -> np.ndarray:
-        """Impulse responses over n samples to all inputs, (m + d, n).
+        """Compute the impulse responses over n samples to all inputs, (m + d, n).
 
-        Coefficients of the power series B / A: its values on a circle, transformed back. What
-        comes n_fft samples later is folded upon them, with the weight `FOLDED`.
+        Impulse responses are the coefficients of the power series B / A, transformed back from
+        values of the series on a circle. Coefficients n_fft samples later are folded upon the
+        first ones, with the weight `FOLDED`.
         """
         longest = max(n, self.data.layout.lags + 1)
         n_fft = next_fast_len(4 * longest)
@@ -144,7 +146,10 @@ class Regression:
         return np.where(at_rest, 0.0, answers)
 
     def residual(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """A y - B u of trials from rest, (trial, time), without start, line and drift of (1)."""
+        """Compute A y - B u of trials from rest, (trial, time).
+
+        The start, the line and the drift of (1) are left out.
+        """
         B = self.numerators(y.shape[1])
         answer = fftconvolve(u, B.T[None], axes=1)[:, : y.shape[1]].sum(axis=2)
         return fftconvolve(y, self.denominator[None], axes=1)[:, : y.shape[1]] - answer
@@ -153,12 +158,12 @@ class Regression:
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
     """Estimate P to one output.
 
-    `direct`: whether y(t) may depend on the commanded inputs at t, or when their delay is over.
-    `delays`, (m,): the least delays of the commanded inputs, samples; more are tried where
-    correlations show them. `gain`, (m,): P at rest, if it is known.
+    `direct` says whether y(t) may depend on the commanded inputs at t, or at t less their delay.
+    `delays` are the least delays of the commanded inputs in samples, (m,). Larger delays are tried
+    if correlations show them. `gain` is P at rest, (m,), if this is known.
     """
     commanded = groups[0].commanded
-    least = np.zeros(groups[0].u.shape[2], int)  # of a known disturbance nothing is known
+    least = np.zeros(groups[0].u.shape[2], int)  # no delay of a known disturbance is known
     least[:commanded] = delays
     best, S = polished(with_delays(groups, direct, least, gain))
     at = posterior(best.eta, best.data)

@@ -1,11 +1,12 @@
 """The regressors of (1), and the products to which the series add up.
 
-With T(u) the matrix of the lags of u, H as in `unknowns`, and ramps from knot to knot for a drift,
+T(u) is the matrix of the lags of u, and H is defined in `unknowns`. A drift consists of ramps from
+knot to knot. Then
 
     X = [-T(y) H, T(u_1) H, ..., T(u_m) H, slow parts, T(1, 0, 0 ...) H, ramps].
 
-The line of (1), an offset and a slope of each series, is taken out of X and y beforehand. Nothing
-that follows needs X, but X' X, X' y and y' y, which are added up series by series.
+The line of (1), an offset and a slope of each series, is taken out of X and y beforehand. The later
+steps need X' X, X' y and y' y, but not X. These products are added up series by series.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,13 +19,13 @@ from scipy.signal import lfilter
 from ilctools.measurement.arx.trials import Series, Trials, series_of
 from ilctools.measurement.arx.unknowns import DRIFT_KNOTS, Kind, Layout, layout_of
 
-# The weight of a known P at rest among the products: it is met to a thousandth of the noise s.
+# The weight of a known P at rest among the products: P is met to a thousandth of the noise s.
 WEIGHT_AT_REST = 1e6
-STRETCH = 8192  # samples of X at a time, some 30 MB
+STRETCH = 8192  # samples of X at a time, which take some 30 MB
 
 
 class Regressors:
-    """X' of a series, (unknown, time), stretch by stretch: of a long one X has gigabytes."""
+    """X' of a series, (unknown, time), part by part: X of a long series has gigabytes."""
 
     def __init__(self, series: Series, layout: Layout):
         self.samples, self.layout = len(series.y), layout
@@ -44,29 +45,30 @@ class Regressors:
             self._drift = layout.where(Kind.DRIFT, series.key.group)
 
     def rows(self, begin: int = 0, end: int | None = None, more: int = 0) -> np.ndarray:
-        """X' from one sample to before another, and behind it so many rows of zeros."""
+        """Compute X' from sample `begin` to before `end`, followed by `more` rows of zeros."""
         end = self.samples if end is None else end
         X = np.zeros((self.layout.size + more, end - begin))
         for where, lagged in self._lagged:
             lagged.write(X[where], begin)
         for where, slow in self._slow:
             X[where] = slow[:, begin:end]
-        if self._drift is not None:  # from zero before a knot to one at the next
+        if self._drift is not None:  # from zero before a knot to one at the next knot
             ends = np.linspace(0, self.samples - 1, DRIFT_KNOTS + 1)
             X[self._drift] = np.clip((np.arange(begin, end) - ends[:-1, None]) / ends[1], 0, 1)
         return X
 
 
 def _slow_parts(u, poles):
-    """The answers (1 - p) / (z - p) u, (pole, time)."""
+    """Compute the responses (1 - p) / (z - p) u, (pole, time)."""
     return np.array([lfilter([0, 1 - p], [1, -p], u) for p in poles])
 
 
 class Lagged:
-    """T(u) H, transposed: a signal (time,) by each column of H, (knot, time).
+    """T(u) H, transposed: a signal (time,) filtered by each column of H, (knot, time).
 
-    A column of H is one from the first knot to its own, and from there falls to zero at the next in
-    a straight line: it makes a running sum of u, less the mean of earlier ones.
+    A column of H is one from the first knot to its own knot. From there the column falls to zero at
+    the next knot, in a straight line. Each column therefore makes a running sum of u, less the mean
+    of earlier running sums.
     """
 
     def __init__(self, signal: np.ndarray, knots: np.ndarray):
@@ -74,12 +76,12 @@ class Lagged:
         self._sums = np.append(np.zeros(self._before), np.cumsum(signal))
 
     def write(self, rows: np.ndarray, begin: int = 0) -> None:
-        """Into rows (knot, time), from a sample on."""
+        """Write T(u) H into rows (knot, time), from sample `begin` on."""
         knots, begin = self._knots, begin + self._before
         end = begin + rows.shape[1]
         now = self._sums[begin - knots[0] : end - knots[0]]
         for row, knot, gap in zip(rows, knots, np.append(np.diff(knots), 1), strict=True):
-            # sums that are a knot and more earlier, up to the next knot
+            # running sums from one knot earlier up to the next knot earlier
             earlier = self._sums[begin - knot - gap : end - knot - 1]
             if gap > 1:
                 earlier = uniform_filter1d(earlier, gap, origin=(gap - 1) // 2)[gap - 1 :]
@@ -87,28 +89,29 @@ class Lagged:
 
 
 class Data(NamedTuple):
-    """All that the records say of the unknowns of a layout: products Z Z' of Z = [X, y, ...]'.
+    """All information about the unknowns of a layout: products Z Z' of Z = [X, y, ...]'.
 
-    Z is without offset and slope. Means over trials are apart, as they have a weight of their own.
+    Offset and slope are taken out of Z. Means over trials are kept apart, because they have a
+    weight of their own.
     """
 
     layout: Layout
-    single: np.ndarray  # of differences between trials, and of trials that are alone
-    means: np.ndarray  # of means over several trials
-    n: int  # samples, less two of each series for offset and slope
-    n_1: int  # those of means, which are among them
+    single: np.ndarray  # products of differences between trials, and of single trials
+    means: np.ndarray  # products of means over several trials
+    n: int  # number of samples, less two of each series for offset and slope
+    n_1: int  # number of samples of means among the n samples
 
     def weighted(self, weight: float) -> np.ndarray:
-        """The products of all series, with a weight for the means."""
+        """Add up the products of all series, with a weight for the means."""
         return self.single + weight * self.means
 
 
 def products(
     groups: Sequence[Trials], layout: Layout, beside: Callable[[Series], Sequence] = lambda _: ()
 ) -> Data:
-    """The products of [X, y], and of more rows behind them.
+    """Compute the products of [X, y], and of further rows behind [X, y].
 
-    `beside` returns these rows of a series, (row, time).
+    `beside` returns the further rows of a series, (row, time).
     """
     single, means, n, n_1 = 0.0, 0.0, 0, 0
     for series in series_of(groups):
@@ -123,7 +126,7 @@ def products(
 
 
 def _products(regressors, beside):
-    """Z Z' of one series, without offset and slope, which leaves Z Z' - (Z l) (Z l)'."""
+    """Compute Z Z' - (Z l) (Z l)' of one series: the products without offset and slope."""
     skipped = regressors.layout.skipped
     line = np.linalg.qr(np.vander(np.linspace(-1, 1, beside.shape[1] - skipped), 2))[0]
     products, on_line = 0.0, 0.0
@@ -137,10 +140,10 @@ def _products(regressors, beside):
 
 
 def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=None) -> Data:
-    """What trials say for some delays.
+    """Compute the products of trials for given delays.
 
-    `direct`: see `layout_of`; `delays`: of all inputs, (m + d,); `gain`: P at rest, (m,), if it is
-    known.
+    `layout_of` explains `direct`. `delays` are the delays of all inputs, (m + d,). `gain` is P at
+    rest, (m,), if this is known.
     """
     layout = layout_of(groups, direct, delays)
     data = products(groups, layout)
@@ -150,7 +153,7 @@ def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=Non
 
 
 def _at_rest(layout, j, known):
-    """The products of one more row of [X, y], nearly without an error: B_j(1) = known A(1)."""
+    """Compute products of one more row of [X, y], almost without error: B_j(1) = known A(1)."""
     row, rest = np.zeros(layout.size + 1), np.zeros(1)
     row[layout.where(Kind.A)] = -known * layout.waves_of_A(rest)[0].real
     row[layout.where_B(j)] = layout.waves_of_B(j, rest)[0].real

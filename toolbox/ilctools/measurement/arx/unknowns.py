@@ -1,16 +1,18 @@
-"""The unknowns of the regression, in blocks: of A, each B, starts, drifts and slow parts.
+"""The unknowns of the regression, in blocks for A, each B, starts, drifts and slow parts.
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-A is monic. A and each B have as many lags as a quarter of the longest trial; the lags of a B are
-counted from a delay of its input. A start is the response to what was before a series, and is as
-long. A drift is a random walk. Beside its lags each B has slow parts x (1 - p) / (z - p) with time
-constants of the longest trial, a half and a quarter of it. A plant may have a small part that is
-far slower than the rest. Without slow parts it would be taken for drift, and the error not be seen.
+A is monic. A and each B have as many lags as a quarter of the longest trial. The lags of a B are
+counted from a delay of its input. A start is the response to what was before a series, and has as
+many lags. A drift is a random walk. In addition to its lags, each B has slow parts
+x (1 - p) / (z - p). Their time constants are the length of the longest trial, a half and a quarter
+of this length. A plant may have a small part that is far slower than the rest. Without slow parts,
+the regression would take this part for drift, and the error would not be seen.
 
-The unknowns of a response are its increments from lag to lag. Far lags share one: the coefficients
-are on straight lines between *knots*. With H the coefficients of all increments, coefficients are
-H x: a column of H is one from the first knot to its own, and from there falls to zero at the next.
+The unknowns of a response are its increments from lag to lag. Far lags share one increment: the
+coefficients lie on straight lines between *knots*. The coefficients are H x, where x are the
+increments. A column of H is one from the first knot to its own knot, and from there falls to zero
+at the next knot.
 """
 
 from collections.abc import Hashable, Sequence
@@ -24,59 +26,63 @@ from scipy.special import diric
 
 from ilctools.measurement.arx.trials import Trials, keys_of, longest_of
 
-# The longest trial has so many times the lags of A and B. More lags cost time, fewer cut off slow
-# plants.
+# The longest trial has SHARE_OF_LAGS times as many samples as A and B have lags. More lags cost
+# time. Fewer lags truncate the responses of slow plants.
 SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
-TIME_CONSTANTS = np.array([1.0, 2.0, 4.0])  # of slow parts, in 1 / (the longest trial): counted
-# Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP: up to
-# an eighth of the lag, which saves time. Those of starts are coarser.
+# Inverse time constants of slow parts, in 1 / (the longest trial), found by counting.
+TIME_CONSTANTS = np.array([1.0, 2.0, 4.0])
+# Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP. This
+# distance is up to an eighth of the lag, and saves time. The knots of starts are coarser.
 CLOSE_KNOTS, KNOTS_STEP = 40, 8
 CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS = 6, 4
-MOST_OF_STARTS = 300  # unknowns of all starts, for the time they take; with more, first samples go
-DRIFT_KNOTS = 64  # of a drift, between which it is straight
+# Largest number of unknowns of all starts, because of the time that they take. If more would be
+# needed, the first samples are left out instead.
+MOST_OF_STARTS = 300
+DRIFT_KNOTS = 64  # number of knots of a drift, which is straight between them
 
 
 class Kind(IntEnum):
-    """What an unknown is of. The unknowns of a kind have one prior variance c in common."""
+    """What an unknown belongs to; the unknowns of a kind have one prior variance c in common."""
 
     A = 0  # increments of A
     B = 1  # increments of the B of an input
-    START = 2  # increments of what the start of a series leaves
+    START = 2  # increments of the response to what was before a series
     DRIFT = 3  # steps of the drift of a group
     SLOW = 4  # slow parts of the B of an input
 
     @property
     def hyperparameter(self) -> str:
-        """The name of the logarithm of c, see `prior`."""
+        """The name of the hyperparameter log c, see `prior`."""
         return f"log_c_{self.name}"
 
 
 class Block(NamedTuple):
-    """Unknowns that belong together, and by how many lags each comes late in the prior (2)."""
+    """Unknowns that belong together, and the lag of each unknown in the prior (2)."""
 
     kind: Kind
     owner: Hashable  # the input of B and slow parts, the key of a series, the position of a group
     lag: np.ndarray  # (unknown,)
-    gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
+    gap: np.ndarray  # (unknown,): distance to the next lag; infinite at the last
 
     @classmethod
     def of_lags(cls, kind: Kind, owner: Hashable, knots: np.ndarray, late: int = 0) -> "Block":
-        """Increments at knots, which decay from `late` lags after the first one on."""
+        """Make a block of increments at knots, which decay from `late` lags after the first."""
         lag = np.maximum(knots - knots[0] - late, 0.0)
         return cls(kind, owner, lag, np.append(np.diff(knots), np.inf))
 
     @classmethod
     def alike(cls, kind: Kind, owner: Hashable, n: int) -> "Block":
-        """Unknowns without an order, each of the variance c."""
+        """Make a block of n unknowns without an order, each with the variance c."""
         return cls(kind, owner, np.zeros(n), np.full(n, np.inf))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Unknowns x, block by block, and the lags that they stand for.
+    """The unknowns x, block by block, and the lags that they represent.
 
-    A stands first, then each B, and behind them the blocks without lags of a signal.
+    The block of A stands first, then the block of each B, and then the blocks without lags of a
+    signal.
     """
 
     blocks: tuple[Block, ...]
@@ -85,7 +91,7 @@ class Layout:
     knots_of_start: np.ndarray  # samples after the beginning of a series
     delays: np.ndarray  # of all inputs, samples
     poles: np.ndarray  # of slow parts
-    skipped: int  # samples at the beginning of each series that are left out, if it has no start
+    skipped: int  # samples left out at the beginning of each series, if it has no start
 
     @cached_property
     def kind(self) -> np.ndarray:
@@ -94,17 +100,17 @@ class Layout:
 
     @cached_property
     def lag(self) -> np.ndarray:
-        """See :class:`Block`, (unknown,)."""
+        """The lag of each unknown, (unknown,), see :class:`Block`."""
         return np.concatenate([block.lag for block in self.blocks])
 
     @cached_property
     def gap(self) -> np.ndarray:
-        """See :class:`Block`, (unknown,)."""
+        """The gap of each unknown, (unknown,), see :class:`Block`."""
         return np.concatenate([block.gap for block in self.blocks])
 
     @property
     def size(self) -> int:
-        """How many unknowns there are."""
+        """The number of unknowns."""
         return len(self.kind)
 
     @cached_property
@@ -116,38 +122,39 @@ class Layout:
         return places
 
     def where(self, kind: Kind, owner: Hashable = None) -> slice:
-        """Where the unknowns of a block stand in x."""
+        """Return where the unknowns of a block stand in x."""
         return self._places[kind, owner]
 
     def where_B(self, j: int) -> np.ndarray:
-        """Where the increments, and then the slow parts, of the B of input j stand in x."""
+        """Return where the increments, and then the slow parts, of the B of input j stand in x."""
         return np.r_[self.where(Kind.B, j), self.where(Kind.SLOW, j)]
 
     @property
     def lags(self) -> int:
-        """Lags of A."""
+        """The number of lags of A."""
         return self.knots_of_A[-1]
 
     def waves_of_A(self, omega: np.ndarray) -> np.ndarray:
-        """A - 1 at angles omega Ts, by each of its unknowns, (n, unknown)."""
+        """Compute what each unknown of A adds to A - 1 at angles omega Ts, (n, unknown)."""
         return waves(self.knots_of_A, omega)
 
     def waves_of_B(self, j: int, omega: np.ndarray) -> np.ndarray:
-        """The B of input j at angles omega Ts, by each of its unknowns, (n, unknown)."""
+        """Compute what each unknown of B adds to the B of input j at omega Ts, (n, unknown)."""
         slow = (1 - self.poles) / (np.exp(1j * omega)[:, None] - self.poles)
         return np.hstack([waves(self.knots_of_B[j], omega), slow])
 
 
 def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Layout:
-    """The unknowns of trials.
+    """Lay out the unknowns of trials.
 
-    `direct`: whether y(t) may depend on the commanded inputs at t, or when their delay is over;
-    `delays`: of all inputs, (m + d,).
+    `direct` says whether y(t) may depend on the commanded inputs at t, or at t less their delay.
+    `delays` are the delays of all inputs, (m + d,).
     """
     longest, commanded = longest_of(groups), groups[0].commanded
     reach = max(FEWEST_LAGS, longest // SHARE_OF_LAGS)
     past, at_once = (knots_between(first, reach, CLOSE_KNOTS, KNOTS_STEP) for first in (1, 0))
-    # A disturbance does not follow y: y(t) may depend on it at t, whatever the commands do.
+    # A disturbance does not follow y. y(t) may therefore depend on the disturbance at t, whatever
+    # the commands do.
     knots_of_B = tuple(
         delay + (at_once if direct or j >= commanded else past) for j, delay in enumerate(delays)
     )
@@ -166,10 +173,10 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
 
 
 def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
-    """Samples after the beginning of each of so many series, `late` the latest delay.
+    """Choose the knots of the starts of so many series, in samples; `late` is the latest delay.
 
-    Until then what the inputs did before is still on its way, and may be anything: there is a knot
-    at each sample, if all starts together do not become too many.
+    Up to this delay, the effect of earlier inputs is still on its way and may be anything. There is
+    then a knot at each sample, unless all starts together would have too many.
     """
     coarse = late + knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
     fine = np.union1d(np.arange(late), coarse)
@@ -177,7 +184,7 @@ def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
 
 
 def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:
-    """Lags from the first to the last one: all up to `close`, then ever further apart."""
+    """Choose lags from the first to the last: all up to `close`, then ever further apart."""
     knots = [first]
     while knots[-1] < last:
         apart = 1 + max(0, knots[-1] - close) // step
@@ -186,12 +193,12 @@ def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:
 
 
 def waves(knots: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """The frequency response of each column of H, (n, knot), by sums of geometric series."""
+    """Compute the frequency response of each column of H, (n, knot), by geometric series."""
     gap, omega = np.append(np.diff(knots), 1), np.where(omega, omega, 1e-200)[:, None]
     earlier = np.exp(-1j * omega * (knots + (gap + 1) / 2)) * diric(omega, gap)
     return (np.exp(-1j * omega * knots[0]) - earlier) / (1 - np.exp(-1j * omega))
 
 
 def coefficients(x: np.ndarray, knots: np.ndarray, n: int) -> np.ndarray:
-    """H x, filled up with zeros, or cut off, to n lags."""
+    """Compute H x for n lags, filled up with zeros or truncated."""
     return np.interp(np.arange(n), knots, np.cumsum(x[::-1])[::-1], 0, 0)

@@ -1,1 +1,1 @@
-"""The solvers of the convex problems. They know bounds and multipliers; none is trusted."""
+"""The solvers of the convex problems, in terms of bounds and multipliers; none is trusted."""

@@ -1,32 +1,33 @@
-"""The small matrices of the interior-point method, one at each frequency, all at once.
+"""Operations on the small matrices of the interior-point method, at all frequencies at once.
 
-Arrays have the frequency last, so that an operation on all the small matrices is a few operations
-on long vectors: for m = 2 several times faster than a call of LAPACK for each.
+Arrays have the frequency as their last axis. An operation on all small matrices is then a few
+operations on long vectors. For m = 2, this is several times faster than a call of LAPACK for each
+matrix.
 """
 
 import numpy as np
 
 ACCURACY_OF_STEP = 0.02  # relative: a step is damped by more than that
-NO_STEP = 1e-9  # a step so short leads nowhere
+NO_STEP = 1e-9  # a shorter step makes no progress
 
 
 def product(A, B):
-    """A B at each frequency."""
+    """Compute the product A B at each frequency."""
     return np.einsum("ijn,jkn->ikn", A, B)
 
 
 def adjoint(A):
-    """A^H."""
+    """Return the adjoint A^H."""
     return A.conj().swapaxes(0, 1)
 
 
 def hermitian(A):
-    """The Hermitian part."""
+    """Return the Hermitian part."""
     return 0.5 * (A + adjoint(A))
 
 
 def inverse(S):
-    """Inverse of positive definite matrices, by Gauss-Jordan elimination in place."""
+    """Invert positive definite matrices by Gauss-Jordan elimination in place."""
     X = S.copy()
     for k in range(len(X)):
         row = X[k] / X[k, k].real
@@ -39,14 +40,14 @@ def inverse(S):
 
 
 def inner(A, B):
-    """sum <A, B> of Hermitian matrices."""
+    """Compute the sum of <A, B> over Hermitian matrices."""
     return np.vdot(A, B).real
 
 
 def positive_definite(A):
-    """Which of the Hermitian matrices are positive definite: all pivots are positive.
+    """Check which Hermitian matrices are positive definite, so that all pivots are positive.
 
-    Gaussian elimination on all of them at once takes a fifth of the time of their eigenvalues.
+    Gaussian elimination on all matrices at once takes a fifth of the time of their eigenvalues.
     """
     A = A.copy()
     positive = A[0, 0].real > 0
@@ -59,7 +60,7 @@ def positive_definite(A):
 
 
 def longest_step(S, dS, limit):
-    """The largest a <= limit at which all S + a dS are positive definite, by bisection."""
+    """Find by bisection the largest a <= limit at which all S + a dS are positive definite."""
     low, high, a = 0.0, limit, limit
     while high - low > ACCURACY_OF_STEP * high and high > NO_STEP:
         failing = ~positive_definite(S + a * dS)

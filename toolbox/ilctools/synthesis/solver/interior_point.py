@@ -1,34 +1,36 @@
 """The solver of the synthesis: a structured primal-dual interior-point method.
 
-For the program of `program` each bound is a small linear matrix inequality at each column,
+In the program of `program`, each bound is a small linear matrix inequality at each column,
 
     S = [[Lambda, G], [G^H, b I]] >= 0,    G = F + T L(x),    Lambda and b linear in t and d,    (1)
 
-see `bounds`. With multipliers Y >= 0 of these, and eta >= 0 of t <= limit, the Lagrangian
-cost . t - sum <S, Y> - (limit - t) . eta is stationary:
+see `bounds`. The inequalities have multipliers Y >= 0, and t <= limit has multipliers eta >= 0. At
+the optimum the Lagrangian cost . t - sum <S, Y> - (limit - t) . eta is stationary:
 
     sum <dS/dx, Y> = 0,    sum <dS/dd, Y> = 0,    sum <dS/dt, Y> - eta = cost.    (2)
 
-Then it is at most the optimum, whatever Y and eta, and at x = t = d = 0 it is the dual value
+If (2) holds, the Lagrangian is at most the optimum, for any Y and eta. At x = t = d = 0 the
+Lagrangian is the dual value
 
     -sum <S(0), Y> - limit . eta.    (3)
 
-Their difference, the gap, is the complementarity sum <S, Y> + (limit - t) . eta. The method
-follows the central path
+The gap, which is the difference between the objective and the dual value, is the complementarity
+sum <S, Y> + (limit - t) . eta. The method follows the central path
 
     Y S = mu I,    (limit - t) eta = mu,    (4)
 
-to mu = 0. Of (4), linearised, the Hermitian part is taken (the HKM direction [1]): with X = S^-1,
+to mu = 0. The method linearises (4) and takes the Hermitian part (the HKM direction [1]). With
+X = S^-1,
 
     dY = mu X - Y - herm(Y dS X),    deta = (mu - eta (dlimit - dt)) / (limit - t) - eta.    (5)
 
-Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as in SDPT3 [3]; see
-[4] for the theory. What is particular here:
+Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as in SDPT3 [3]. See
+[4] for the theory. Two points are particular to this solver:
 
-- t, d and all blocks are eliminated, see `newton`. What remains is one symmetric system in the
-  coefficients, whose matrix is a sum over i of m^2 x m^2 matrices times products of powers of z_i.
-- G is that of an actual L throughout. If a bound is violated at the start, its limit is moved out,
-  and moved back with the steps. Only if this fails is the smallest possible one computed ("phase
+- t, d and all blocks are eliminated, see `newton`. One symmetric system in the coefficients
+  remains. Its matrix is a sum over i of m^2 x m^2 matrices times products of powers of z_i.
+- G always belongs to an actual L. If a bound is violated at the start, its limit is moved out, and
+  moved back with the steps. Only if this fails, the smallest possible limit is computed ("phase
   one").
 
 [1] C. Helmberg, F. Rendl, R. Vanderbei, H. Wolkowicz, SIAM J. Optim. 6 (1996) 342; M. Kojima,
@@ -50,18 +52,18 @@ from ilctools.synthesis.solver.inequalities import hermitian, inner, inverse, lo
 from ilctools.synthesis.solver.newton import NewtonSystem
 from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 
-RELATIVE_GAP = 2e-9  # at which to stop
-SHARE_OF_GAP = 0.1  # by which rounding may keep (2) from holding
-MOST_CORRECTIONS = 10  # of a direction for that
+RELATIVE_GAP = 2e-9  # gap at which to stop
+SHARE_OF_GAP = 0.1  # share of the gap by which rounding may keep (2) from holding
+MOST_CORRECTIONS = 10  # corrections of a direction to make (2) hold
 MOST_STEPS = 100
 MOST_STAGNANT = 8  # steps without a smaller gap after which to stop
-LEAST_OBJECTIVE = 1e-4  # of that without learning: a smaller one is as good as zero
-NEARLY_PROVEN = 1e-6  # relative: a bound so near to the least one may miss the proof of it
-SHORTEST_STEP = 0.01  # below it there is no progress
-LEAST_DAMPING, MORE_DAMPING = 0.9, 0.09  # of steps to the boundary, by their lengths [3]
-MOVED_OUT = 1.5  # a limit that is passed begins at so many times what passes it
-CENTRED = 5.0  # times the mu by which (2) holds in the mean: a start farther inside
-LARGEST_X = 5.0  # |x|^2 by frequency and channel where bounds hold: 2^2 by those on M, 1 by L's
+LEAST_OBJECTIVE = 1e-4  # relative to no learning: a smaller objective is as good as zero
+NEARLY_PROVEN = 1e-6  # relative: a bound as near to the least bound may miss its proof
+SHORTEST_STEP = 0.01  # a shorter step makes no progress
+LEAST_DAMPING, MORE_DAMPING = 0.9, 0.09  # damping of steps to the boundary, by their lengths [3]
+MOVED_OUT = 1.5  # factor: a violated limit begins at this many times the value that violates it
+CENTRED = 5.0  # factor on the mu with which (2) holds in the mean: the start is farther inside
+LARGEST_X = 5.0  # |x|^2 by frequency and channel where bounds hold: 2^2 from M, 1 from L
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class Point:
 
     @cached_property
     def S(self):
-        """S of each bound in (1); its change, if this is a direction."""
+        """S of each bound in (1), or the change of S if this is a direction."""
         levels = self.program.at_columns(self.t, self.limits)
         columns = zip(self.program.bounds, levels, self.d, self.G, strict=True)
         return [bound.inequality(b, d, G) for bound, b, d, G in columns]
@@ -104,7 +106,7 @@ class Point:
 
     @property
     def objective(self):
-        """cost . t."""
+        """The objective cost . t."""
         return self.program.cost @ self.t
 
     @property
@@ -114,24 +116,24 @@ class Point:
 
     @cached_property
     def complementarity(self):
-        """sum <S, Y> + (limit - t) . eta."""
+        """The complementarity sum <S, Y> + (limit - t) . eta."""
         return sum(map(inner, self.S, self.Y)) + self.room @ self.eta
 
     @property
     def dual_value(self):
-        """The dual objective (3), a lower bound on the optimum where (2) holds."""
+        """The dual objective (3), a lower bound on the optimum if (2) holds."""
         F, d = [bound.F for bound in self.program.bounds], [0 * d for d in self.d]
         at_zero = replace(self, t=0 * self.t, d=d, G=F, limits=self.program.limits)
         return -at_zero.complementarity
 
     @cached_property
     def gap(self):
-        """Between objective and dual value, where (2) holds but for rounding."""
+        """The gap between objective and dual value, if (2) holds except for rounding."""
         return max(self.complementarity, abs(self.objective - self.dual_value))
 
     @cached_property
     def stationarity(self):
-        """sum <dS/dx, Y> of (2)."""
+        """The residual sum <dS/dx, Y> of (2)."""
         program, of_L = self.program, []
         for bound, Y in zip(program.bounds, self.Y, strict=True):
             p = len(bound.F)
@@ -140,18 +142,18 @@ class Point:
 
     @property
     def degree(self):
-        """The number that complementarity is mu times, on the central path."""
+        """The ratio of complementarity to mu on the central path."""
         return len(self.t) + sum(Y.shape[0] * Y.shape[2] for Y in self.Y)
 
 
 def sums(parts, changes, length):
-    """Each part after a step."""
+    """Compute each part after a step."""
     pairs = zip(parts, changes, strict=True)
     return [part + length * change for part, change in pairs] if length else parts
 
 
 def begin(program, x):
-    """A point at x that fulfils (4), where the limit of a bound that x violates is moved out."""
+    """Make a point at x that fulfils (4); limits of bounds that x violates are moved out."""
     G = program.matrices(x)
     shares = [bound.first_share(G_j) for bound, G_j in zip(program.bounds, G, strict=True)]
     t, peaks = program.largest(program.values(x, shares))
@@ -168,7 +170,7 @@ def begin(program, x):
 
 
 class Newton:
-    """Directions from a point, by (5) and (2); a LinAlgError where rounding spoils them."""
+    """Directions from a point, by (5) and (2); a LinAlgError if rounding spoils them."""
 
     def __init__(self, p):
         self.p, self.X = p, [inverse(S) for S in p.S]
@@ -176,13 +178,13 @@ class Newton:
         self.system = NewtonSystem(p.program, self.X, p.Y, p.eta / p.room)
 
     def less_product(self, d, Y, dS):
-        """A direction, from whose dY herm(Y dS X) is subtracted."""
+        """Subtract herm(Y dS X) from dY of a direction."""
         columns = zip(d.Y, Y, dS, self.X, strict=True)
         dY = [dY_j - hermitian(product(product(Y_j, dS_j), X)) for dY_j, Y_j, dS_j, X in columns]
         return replace(d, Y=dY)
 
     def without_unknowns(self, mu, predictor):
-        """(5) for dx = dt = dd = 0: dY, deta, and the way of the limits."""
+        """Compute (5) for dx = dt = dd = 0: dY, deta, and the change of the limits."""
         p = self.p
         toward = p.program.limits - p.limits
         dY = [mu * X - Y for X, Y in zip(self.X, p.Y, strict=True)]
@@ -196,7 +198,7 @@ class Newton:
         return d
 
     def correction(self, multipliers):
-        """The direction that makes multipliers stationary, (2), as far as rounding lets it."""
+        """Compute the direction that fulfils (2) for multipliers, as far as rounding allows."""
         p = self.p
         dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
         dG, deta = p.program.linear(dx), p.eta / p.room * dt
@@ -204,15 +206,15 @@ class Newton:
         return self.less_product(change, p.Y, change.S)
 
     def direction(self, mu, predictor=None):
-        """The direction to (4), but for rounding."""
+        """Compute the direction to (4), except for rounding."""
         d = self.without_unknowns(mu, predictor)
         return d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
 
     def refined(self, d):
-        """A direction, rid of what rounding has left of the residual of (2).
+        """Remove from a direction the residual of (2) that rounding has left.
 
-        By conjugate residuals [5]: each correction is made orthogonal, in its effect, to those
-        before.
+        This is the method of conjugate residuals [5]: the effect of each correction is made
+        orthogonal to the effects of the corrections before.
         """
         p, earlier = self.p, []
         for _ in range(MOST_CORRECTIONS):
@@ -232,14 +234,14 @@ class Newton:
 
 
 def moved_best(d, change, residual):
-    """A direction moved by as much of a change as makes a residual of (2) least."""
+    """Move a direction along a change, to where the residual of (2) is least."""
     effect = change.stationarity
     length = -(effect * residual).sum() / (effect**2).sum()
     return d.moved(change, length, length)
 
 
 def step_lengths(p, direction):
-    """The longest primal and dual steps <= 1 from p that keep S, Y, limit - t and eta positive."""
+    """Find the longest primal and dual steps <= 1 that keep S, Y, limit - t and eta positive."""
     primal = 1 / max(1, (-direction.room / p.room).max())
     dual = 1 / max(1, (-direction.eta / p.eta).max())
     for S, dS, Y, dY in zip(p.S, direction.S, p.Y, direction.Y, strict=True):
@@ -248,7 +250,7 @@ def step_lengths(p, direction):
 
 
 def mehrotra(p):
-    """The direction of Mehrotra's method from p."""
+    """Compute the direction of Mehrotra's method from p."""
     newton, total = Newton(p), p.complementarity
     predictor = newton.direction(mu=0.0)
     primal, dual = step_lengths(p, predictor)
@@ -258,7 +260,7 @@ def mehrotra(p):
 
 
 def advanced(p, direction):
-    """The point after a step that stays inside; None if that is short."""
+    """Compute the point after a step that stays inside; None if the step is too short."""
     lengths = step_lengths(p, direction)
     damping = LEAST_DAMPING + MORE_DAMPING * min(lengths)
     primal, dual = (1.0 if length == 1 else damping * length for length in lengths)
@@ -270,8 +272,8 @@ def advanced(p, direction):
 
 
 def ruled_out(p, objective):
-    """Whether no x that meets the bounds reaches an objective, by the dual value (3)."""
-    # By more than the second term, no filter that meets the bounds has a larger |x|.
+    """Prove by the dual value (3) that no x that meets the bounds reaches an objective."""
+    # `missed` is what (2) misses, times the largest |x| of a filter that meets the bounds.
     program = p.program
     n, m = program.basis.shape[1], program.bounds[0].F.shape[1]
     missed = np.sqrt(LARGEST_X * n * m) * np.linalg.norm(p.stationarity)
@@ -279,7 +281,7 @@ def ruled_out(p, objective):
 
 
 class Outcome(Enum):
-    """Why the central path was left."""
+    """Reasons why the central path was left."""
 
     OPTIMAL = "the gap is closed"
     ENOUGH = "the objective is low enough"
@@ -291,7 +293,7 @@ class Outcome(Enum):
 
 
 class Path(NamedTuple):
-    """What came of following the central path."""
+    """The result of following the central path."""
 
     best: Point | None  # the point of the smallest gap within the limits
     outcome: Outcome
@@ -317,7 +319,7 @@ def follow(p, enough=0.0) -> Path:
 
 
 def outcome_at(p, enough, stagnant) -> Outcome | None:
-    """Why the path ends at p, some steps after the best point; None if it goes on."""
+    """Say why the path ends at p, `stagnant` steps after the best point; None if it goes on."""
     program = p.program
     if not p.within_limits:
         largest = program.cost.sum() * program.limits[0]
@@ -333,7 +335,8 @@ def outcome_at(p, enough, stagnant) -> Outcome | None:
 def minimise(program: Program) -> Optimum:
     """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails.
 
-    The path begins at zero; where it does not lead within the limits, at the x of phase one.
+    The path begins at zero. If this path does not lead within the limits, another path begins at
+    the x of phase one.
     """
     zero = np.zeros((len(program.rows), len(program.basis)))
     best, outcome = follow(begin(program, zero))
@@ -347,7 +350,7 @@ def minimise(program: Program) -> Optimum:
 
 
 def phase_one(program, x) -> Point:
-    """A point that meets the bounds, from the least largest value."""
+    """Find a point that meets the bounds, by minimising the largest value."""
     nearest, outcome = follow(begin(program.minimax(), x), enough=program.most)
     if nearest is None:
         raise RuntimeError(f"no point to start from: {outcome.value}")
@@ -359,7 +362,7 @@ def phase_one(program, x) -> Point:
 
 
 def optimum(p):
-    """What is returned of a point."""
+    """Make the optimum that is returned from a point."""
     program = p.program
     levels = program.at_columns(p.t, p.limits)
     shares = [d / b for d, b in zip(p.d, levels, strict=True)]

@@ -1,19 +1,20 @@
 """The Newton system of the interior-point method, with all but the coefficients eliminated.
 
-The unknowns are x, of which G = F + T L with L = x Phi is made, and the numbers t and d, which
-stand in Lambda and b of S. For directions dS_a, dS_b in which S can change, the matrix of the
-system is <dS_a, Y dS_b X>; its right-hand side is by how much <dS_a, Y> is not what it must be.
+The unknowns are x, with G = F + T L and L = x Phi, and the numbers t and d in Lambda and b of S.
+For directions dS_a, dS_b in which S can change, the matrix of the system is <dS_a, Y dS_b X>. The
+right-hand side is the difference between <dS_a, Y> and its required value.
 
-At each column of a bound at most one number belongs to it alone, z: its d, or a t of its own. That
-is eliminated there. With its direction a in the diagonal of S, and that of a shared t, e,
+At each column of a bound, at most one number z belongs to this column alone. Here z is the d of the
+column, or a t of its own. The number z is eliminated at its column. Let a be the direction of z in
+the diagonal of S, and e the direction of a shared t. Then
 
     zz = <a, Y a X>,  zt = <a, Y e X>,  tt = <e, Y e X>,  zL = <a, Y dS X>,  tL = <e, Y dS X>,
 
-where dS is the change by an entry of L:
+where dS is the change by an entry of L, and
 
     dz = (r_z - Re(zL . dL) - zt dt) / zz,    (1)
 
-and what remains for t and L has zt zt / zz, zt zL / zz and zL zL / zz subtracted.    (2)
+and zt zt / zz, zt zL / zz and zL zL / zz are subtracted from what remains for t and L.    (2)
 """
 
 import numpy as np
@@ -36,7 +37,7 @@ class Block:
         self._eliminate_z(barrier)
 
     def _eliminate_z(self, barrier):
-        """What (1) needs, and tt and tL less what follows z, (2)."""
+        """Compute what (1) needs, and tt and tL after the elimination of z, (2)."""
         z, t = self.along_z, self.along_t
         zz = self._second(z, z) + np.where(self.has_own_t, barrier, 0)
         zt = self.has_shared_t * self._second(z, t)
@@ -48,19 +49,20 @@ class Block:
         self.tL = self.has_shared_t * self._mixed(t) - self.zt_by_zz * self.zL  # (2)
 
     def _second(self, a, b):
-        """<a, Y b X> for two directions in the diagonal, (c,)."""
+        """Compute <a, Y b X> for two directions in the diagonal, (c,)."""
         return np.einsum("i,ijc,j->c", a, (self.Y * self.X.conj()).real, b)
 
     def _mixed(self, a):
-        """<a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
+        """Compute <a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
         X, Y, a, p = self.X, self.Y, a[:, None], len(self.bound.F)
         W = product(X[p:] * a, Y[:, :p]) + product(Y[p:] * a, X[:, :p])
         return self.program.of_entries(self.bound, W)
 
     def forms(self, j, k):
-        """Forms A, Hermitian, and B, symmetric, in pairs j, k of entries of L, (pairs, c).
+        """Compute the forms A, Hermitian, and B, symmetric, for pairs j, k of entries, (pairs, c).
 
-        In terms of D, the off-diagonal block of dS, <dS, Y dS' X> is the real part of
+        j and k are entries of L. D is the off-diagonal block of dS. <dS, Y dS' X> is the real part
+        of
 
             tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)).
         """
@@ -77,22 +79,25 @@ class Block:
         return A - self.zL[j].conj() * follows_z, B - self.zL[j] * follows_z  # (2)
 
     def residuals(self, Y, of_own_t):
-        """r_z at each column, and r_t of a shared t, for multipliers Y; z eliminated from r_t."""
+        """Compute r_z at each column, and r_t of a shared t, from which z is eliminated.
+
+        Y are the multipliers.
+        """
         diagonal = np.einsum("iin->in", Y).real
         r_z = self.along_z @ diagonal - self.has_own_t * of_own_t
         r_t = self.along_t @ diagonal @ self.has_shared_t - self.zt_by_zz @ r_z
         return r_z, r_t
 
     def change_of_z(self, r_z, dt, dL):
-        """dz of (1), for changes of a shared t and of the entries of L at all frequencies."""
+        """Compute dz by (1), for changes of a shared t and of the entries of L."""
         of_L = (self.zL * dL[:, self.bound.at]).real.sum(axis=0)
         return self.inverse_zz * (r_z - of_L) - self.zt_by_zz * dt
 
 
 class NewtonSystem:
-    """The system at a point, factorised; `barrier` is the second derivative of that of each t.
+    """The factorised system at a point; `barrier` has the second derivative of each t's barrier.
 
-    A LinAlgError where the bounds leave less room than rounding takes.
+    A LinAlgError is raised if the bounds leave less room than rounding takes.
     """
 
     def __init__(self, program, X, Y, barrier):
@@ -108,7 +113,7 @@ class NewtonSystem:
         self.factor = factorised(self.scale[:, None] * H * self.scale)
 
     def _of_x(self):
-        """sum <dS_a, Y dS_b X> for all pairs of coefficients, z eliminated."""
+        """Compute sum <dS_a, Y dS_b X> for all pairs of coefficients, with z eliminated."""
         program = self.program
         E, order = len(program.rows), len(program.basis)
         j, k = np.triu_indices(E)
@@ -124,7 +129,10 @@ class NewtonSystem:
         return H.reshape(E * order, -1)
 
     def solve(self, r_x, Y, eta):
-        """The changes of x, of t and of each d for multipliers Y, eta; r_x: their residual in x."""
+        """Compute the changes of x, of t and of each d for multipliers Y and eta.
+
+        r_x is the residual of the multipliers in x.
+        """
         program, blocks = self.program, self.blocks
         of_t = program.cost + eta
         columns = zip(blocks, Y, program.at_own_t(of_t), strict=True)
@@ -145,12 +153,12 @@ class NewtonSystem:
 
 
 def as_real(A):
-    """Real and imaginary parts in turn, (..., 2 n)."""
+    """Interleave real and imaginary parts, (..., 2 n)."""
     return np.ascontiguousarray(A).view(float)
 
 
 def factorised(H):
-    """Cholesky factor of a matrix with ones on the diagonal, shifted if it must be."""
+    """Factorise a matrix with ones on the diagonal by Cholesky, shifted if necessary."""
     shift = 1e-15
     while True:
         try:
