@@ -64,7 +64,7 @@ UNSTABLE = 0.77
 # frequency down to this frequency. An integrator grows by 2, and a first-order lag with a time
 # constant of a sixth of the record grows by 1.6. P at rest must be SURE_OF_REST times its radius
 # for a lag to be certain. Both numbers were found by counting.
-RISE, SURE_OF_REST = 1.9, 3.0
+RISE, SURE_OF_REST = 1.95, 3.0
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
 

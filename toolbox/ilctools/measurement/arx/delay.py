@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ilctools.measurement.arx.likelihood import Fit, likeliest
-from ilctools.measurement.arx.prior import FIRST_GUESSES
+from ilctools.measurement.arx.prior import FIRST_GUESSES, Hyperparameters
 from ilctools.measurement.arx.regressors import data_of
 from ilctools.measurement.arx.trials import Trials, contrasts, longest_of
 
@@ -49,9 +49,15 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
             more = np.zeros_like(before)
             more[inputs] = np.maximum(latest - before, 0)[inputs]
             if more.max() >= LEAST_DELAY:
-                further = fitted(before + (room * more).astype(int), [best.eta], best.cost)
+                further = fitted(before + (room * more).astype(int), [_anew(best.eta)], best.cost)
                 best = min(best, further, key=lambda fit: fit.cost)
     return best
+
+
+def _anew(eta):
+    """Start from these hyperparameters, but guess how large B is: without its delay B is lost."""
+    guess = Hyperparameters(*FIRST_GUESSES[0]).log_c_B
+    return np.array(Hyperparameters(*eta)._replace(log_c_B=guess))
 
 
 def _latest(groups, differences):

@@ -66,9 +66,9 @@ ASSUMED = Hyperparameters(
     log_c_DRIFT=Assumed(-3.0),
     log_T=Assumed(2.3),  # ten samples
     rho=Assumed(0.0),  # as much of the noise repeats as not
-    # A twentieth of the size of the output, within a factor of 1.6. The data hardly
+    # A twentieth of the size of the output, within a factor of 1.3. The data hardly
     # distinguish the motion of a slow part from a drift.
-    log_c_SLOW=Assumed(-5.8, width=1.0, of_output=True),
+    log_c_SLOW=Assumed(-5.8, width=0.5, of_output=True),
 )
 CENTRE, WIDTH, OF_OUTPUT = np.array(ASSUMED).T
 # Searches start from these guesses, without a drift and with one. log s^2 = -6 is noise of 5 % of

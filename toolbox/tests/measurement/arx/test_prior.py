@@ -52,6 +52,6 @@ def test_each_hyperparameter_stands_where_its_name_does():
     centre, first = Hyperparameters(*CENTRE), Hyperparameters(*FIRST_GUESSES[0])
     assert (centre.log_T, centre.log_c_SLOW, first.log_c_DRIFT) == (2.3, -5.8, -3.0)
     away = Hyperparameters(*standardised(CENTRE, np.exp(-6.0)))  # noise of 5 % of the output
-    assert away == pytest.approx((-2.0, -2.0, -2.0, 0.0, 0.0, 0.0, -6.0))
+    assert away == pytest.approx((-2.0, -2.0, -2.0, 0.0, 0.0, 0.0, -12.0))
     np.testing.assert_array_equal(ETA.of_kinds()[[Kind.SLOW, Kind.START]], [0.3, 0.2])
     assert ETA.weight == 0.5
