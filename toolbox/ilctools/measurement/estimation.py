@@ -260,7 +260,7 @@ class EstimatedResponse(Measured):
             f"{confidence:g}",
             Assumed(
                 "the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-                f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside three "
+                f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside two "
                 "slow parts"
             ),
         ]

@@ -5,9 +5,9 @@
 A is monic. A and each B have as many lags as a quarter of the longest trial. The lags of a B are
 counted from a delay of its input. A start is the response to what was before a series, and has as
 many lags. A drift is a random walk. In addition to its lags, each B has slow parts
-x (1 - p) / (z - p). Their time constants are the length of the longest trial, a half and a quarter
-of this length. A plant may have a small part that is far slower than the rest. Without slow parts,
-the regression would take this part for drift, and the error would not be seen.
+x (1 - p) / (z - p). Their time constants are the length of the longest trial, and a third of it. A
+plant may have a small part that is far slower than the rest. Without slow parts, the regression
+would take this part for drift, and the error would not be seen.
 
 The unknowns of a response are its increments from lag to lag. Far lags share one increment: the
 coefficients lie on straight lines between *knots*. The coefficients are H x, where x are the
@@ -31,7 +31,7 @@ from ilctools.measurement.arx.trials import Trials, keys_of, longest_of
 SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
 # Inverse time constants of slow parts, in 1 / (the longest trial), found by counting.
-TIME_CONSTANTS = np.array([1.0, 2.0, 4.0])
+TIME_CONSTANTS = np.array([1.0, 3.0])
 # Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP. This
 # distance is up to an eighth of the lag, and saves time. The knots of starts are coarser.
 CLOSE_KNOTS, KNOTS_STEP = 40, 8

@@ -27,7 +27,7 @@ def test_each_regressor_is_the_response_to_a_signal():
         )
         late = moved(series.u[:, 1], layout.knots_of_B[1], 3)
         np.testing.assert_allclose(X[layout.where(Kind.B, 1)][3], late, atol=1e-12)
-        p = np.exp(-2 / 60)  # half of a trial
+        p = np.exp(-3 / 60)  # a third of a trial
         slow = lfilter([0, 1 - p], [1, -p], series.u[:, 0])
         np.testing.assert_allclose(X[layout.where(Kind.SLOW, 0)][1], slow, atol=1e-12)
         own, others = (X[layout.where(Kind.START, key)] for key in ((0, 0), (0, 1)))
