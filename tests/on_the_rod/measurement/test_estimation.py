@@ -151,6 +151,14 @@ def test_what_diverges_is_refused_and_what_integrates_is_within_the_region():
     covers(estimate, [[([0, 0.1], [1, -1.0])]])
 
 
+def test_a_long_delay_is_found_where_the_fit_without_it_has_lost_B():
+    """From there a search with the delay stays where B is nothing."""
+    log, plants = KINDS["a long delay, noise"](np.random.default_rng([7, 19]))
+    estimate = measured_response(log)
+    covers(estimate, plants)
+    assert estimate.known.mean() > 0.9
+
+
 def test_what_may_not_settle_is_warned_of():
     """An integrator under much noise."""
     u, noise = np.random.default_rng(2).standard_normal((2, 200))
