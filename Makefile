@@ -20,7 +20,7 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data machines mutants lowest newest measure pages bench \
+.PHONY: $(BIN)/ready help reproduce test article lint data machines mutants lowest newest measure pages bench \
 	lab notebooks stubs lock clean
 
 help:  ## list the targets
@@ -31,6 +31,9 @@ reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledge
 
 test: $(BIN)/ready  ## lint, unit tests, the committed notebooks against a fresh run, a browser
 	@$(BIN)/python tools/suite.py
+
+article: $(BIN)/ready  ## the report of the reproduction, article/article.pdf, from the ledger
+	@$(BIN)/python -m rodlib.paper.article
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks; how much there is to read
 	$(BIN)/ruff check

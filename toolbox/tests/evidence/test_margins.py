@@ -8,7 +8,7 @@ import pytest
 from plants import STAGE_WITH_MODES as STAGE
 
 from ilctools import frequency_response, synthesise, zero_phase_butterworth
-from ilctools.evidence.margins import inwards
+from ilctools.evidence.margins import LIMIT_TOLERANCE, inwards
 
 S, TS, CUTOFF = control.tf("s"), 0.01, 40.0
 LOWPASS = zero_phase_butterworth(2, CUTOFF, TS)
@@ -130,3 +130,23 @@ def test_a_list_has_the_least_margins_of_its_plants_and_print_says_them():
 )
 def test_what_is_printed_is_rounded_inwards_to_two_digits(distance, expected):
     assert inwards(distance) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("gain", [0.2, 1.0, 7.0])
+@pytest.mark.parametrize("L_max", [0.3, 2.0])
+def test_margins_of_a_gain_are_the_disk_margins_of_learning_as_a_loop(gain, L_max):
+    """P is a gain p: at each frequency, learning is a feedback loop whose time counts trials.
+
+    Its loop transfer function is Q L p / (z - Q). The disk margin of T (skew -1) is the largest
+    relative error of p, in any phase. A gain alone may therefore change by as much.
+    """
+    design = synthesise(control.ss([], [], [], [[gain]], TS), LOWPASS, L_max=L_max / gain)
+    omega = np.array([1.0, 10.0, 40.0, 100.0])
+    over_trials = np.linspace(0.001, np.pi, 5)  # rad per trial
+    disks = []
+    filters = LOWPASS.frequency_response(omega), design.filter.frequency_response(omega)
+    for q, l in zip(*filters, strict=True):  # noqa: E741
+        learning = control.tf([q * l.item().real * gain], [1, -q], 1.0)
+        disks.append(control.disk_margins(control.ss(learning), over_trials, skew=-1.0)[0])
+    assert design.margins.radius == pytest.approx(min(disks), abs=10 * LIMIT_TOLERANCE)
+    assert design.margins.gain[1] > 1 + min(disks) - 10 * LIMIT_TOLERANCE
