@@ -82,8 +82,8 @@ bench: $(BIN)/ready  ## time the synthesis against CVXPY; rewrite its table in f
 
 # Jupyter refuses to run as root, except in a container, where root is whoever started it.
 lab: LAB := $(if $(wildcard /.dockerenv /run/.containerenv),--allow-root)
-lab: $(BIN)/ready  ## JupyterLab, at notebook 1 (as root: make lab LAB=--allow-root)
-	$(BIN)/jupyter lab $(LAB) --notebook-dir=notebooks --LabApp.default_url=/lab/tree/01-model.ipynb \
+lab: $(BIN)/ready  ## JupyterLab, at notebook 0 (as root: make lab LAB=--allow-root)
+	$(BIN)/jupyter lab $(LAB) --notebook-dir=notebooks --LabApp.default_url=/lab/tree/00-first-trial.ipynb \
 		--LabApp.app_settings_dir=notebooks/.jupyterlab  # where notebooks are saved on request only
 
 notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit

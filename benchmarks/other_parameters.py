@@ -1,0 +1,143 @@
+"""Notebooks with other parameters, drawn within the ranges that they state: how does each run end?
+
+A run ends, or with an error that the notebook or the packages raise on purpose, or with another
+package's error, which is a defect. What is printed or shown must have no NaN that the run with the
+default parameters does not have.
+"""
+
+import ast
+import io
+import os
+import re
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import matplotlib
+import nbformat
+import numpy as np
+from runner import run
+
+from rodlib.paper.repository import ROOT
+
+RUNS, SEED = 10, 0  # of each notebook; of the draws
+MOST_AT_ONCE = 3  # parameters that a run changes
+LARGEST = {  # of parameters whose larger values take minutes, and show no more
+    "draws": 4,
+    "drawn": 60,
+    "evaluations": 10,
+    "frequencies": 400,
+    "hours": 12.0,
+    "records": 2,
+    "rods": 1000,
+    "sampled": 200,
+    "samples": 5000,
+    "seeds": 6,
+    "trials": 12,
+    "varying": 6,
+}
+OURS = ("ilctools", "rodlib", "<notebook>")
+NAN = re.compile(r"\bnan\b", re.IGNORECASE)
+
+
+def code_of(name):
+    """The sources of the code cells of a notebook."""
+    (path,) = ROOT.glob(f"notebooks/{name}*.ipynb")
+    cells = nbformat.read(path, as_version=4).cells
+    return [cell.source for cell in cells if cell.cell_type == "code"]
+
+
+def ranges(name):
+    """The parameters of a notebook that have a range: name, and (default, least, most)."""
+    imports, chosen, *sources = code_of(name)
+    names, found = {}, {}
+    exec(f"{imports}\n{chosen}", names)
+    for call in ast.walk(ast.parse("\n".join(sources))):
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "checked":
+            for keyword in call.keywords:
+                _, *range_ = eval(ast.unparse(keyword.value), names)
+                if len(range_) == 3:
+                    found[keyword.arg] = range_
+    return found
+
+
+def drawn(name, number):
+    """The parameters of a run: up to three, each at an end of its range or within it."""
+    rng, of = np.random.default_rng([SEED, number, *name.encode()]), ranges(name)
+    changed = rng.choice([*of], size=min(len(of), rng.integers(1, MOST_AT_ONCE + 1)), replace=False)
+    values = {}
+    for key in map(str, changed):
+        _, least, most = of[key]
+        most = max(least, min(most, LARGEST.get(key, most)))
+        if rng.random() < 0.3:
+            value = rng.choice([least, most])
+        elif least > 0 and most / least > 30:
+            value = np.exp(rng.uniform(np.log(least), np.log(most)))
+        else:
+            value = rng.uniform(least, most)
+        whole = isinstance(least, int) and isinstance(most, int)
+        values[key] = round(float(value)) if whole else float(f"{value:.4g}")
+    return values
+
+
+def ended(name, parameters):
+    """How a run ends, in a word, with the last line of what it says, and its CPU seconds."""
+    os.chdir(ROOT / "notebooks")
+    os.environ["RODLIB_RESULTS"] = tempfile.mkdtemp()
+    matplotlib.use("agg")
+    imports, chosen, *sources = code_of(name)
+    names, said, begun = {"display": print}, io.StringIO(), time.process_time()
+    outcome, text = "ended", ""
+    with warnings.catch_warnings(action="ignore"), redirect_stdout(said), redirect_stderr(said):
+        try:
+            exec(f"{imports}\n{chosen}", names)
+            names |= parameters
+            for source in sources:
+                tree = ast.parse(source)
+                if isinstance(last := tree.body[-1], ast.Expr):
+                    last.value = ast.Call(ast.Name("print", ast.Load()), [last.value], [])
+                exec(compile(ast.fix_missing_locations(tree), "<notebook>", "exec"), names)
+        except Exception as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            own = any(part in frame.filename for part in OURS) and str(error)
+            by_raise = (frame.line or "raise").lstrip().startswith("raise") or "error" in (
+                frame.line or ""
+            )
+            outcome = "own error" if own and by_raise else "raw error"
+            text = f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno})"
+    if outcome == "ended" and parameters and NAN.search(said.getvalue()):
+        line = next(line for line in said.getvalue().splitlines() if NAN.search(line))
+        outcome, text = "nan", line.strip()
+    return outcome, " ".join(text.split())[:300], time.process_time() - begun
+
+
+def judged(case):
+    """The outcome of a case (name, number)."""
+    name, number = case
+    parameters = drawn(name, number)
+    return name, parameters, *ended(name, parameters)
+
+
+def main(*names):
+    """Run all notebooks, or those whose names begin so; whether any run ended badly."""
+    every = sorted(path.stem for path in ROOT.glob("notebooks/*.ipynb"))
+    books = [name for name in every if not names or name.startswith(names)]
+    cases = [(name, number) for name in books if ranges(name) for number in range(RUNS)]
+    counts = Counter()
+    with ProcessPoolExecutor(max_tasks_per_child=1) as pool:
+        for name, parameters, outcome, text, seconds in run(judged, cases, pool):
+            counts[outcome] += 1
+            if outcome != "ended":
+                print(f"{name} {parameters}: {outcome}: {text} [{seconds:.0f} s]", flush=True)
+    print(*(f"{count} {outcome}" for outcome, count in counts.items()), sep=", ")
+    return bool(counts["raw error"] or counts["nan"])
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
