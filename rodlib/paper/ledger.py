@@ -243,15 +243,21 @@ def markdown(rows: pd.DataFrame) -> str:
     counts = counted(rows).rename(index=KINDS).rename_axis("")
     return f"""# Printed against computed
 
-Written by `make reproduce`. *Reproduced*: a number within its tolerance, half a unit of the last
-printed digit; a statement whose criterion, which is ours, holds. *In words*: too vague for one; the
-row says how far it holds. "Small", "little" and "approximately" hold below a tenth and fail above a
-third. What hangs on a choice of ours (a start, a search, one of several optimal filters) is in
-words, whichever way it comes out. So is a statement whose verdict turns when the signals and rigs
-that we assume are varied; its row has the range ([performance](performance.md)). Where our rigs
-disagree, it cannot be checked. *Derived* are products of printed gains that do not depend on the
-coordinates of the state, ten for 40 entries. What is *taken over* from the paper, or an *identity*
-(imposed, algebra, or another row once more), could hardly differ.
+`make reproduce` writes this page. A row has one of these verdicts:
+
+- *Reproduced*: the number is within its tolerance, half a unit of the last printed digit. Or the
+  statement meets its criterion, which is ours.
+- *Differs*: the number is not within its tolerance, or the statement does not meet its criterion.
+- *In words*: the statement is too vague for a criterion, or the verdict hangs on a choice of ours.
+  The row says how far the statement holds. The choice may be an initial condition, a search, one of
+  several optimal filters, a signal or a rig. If a verdict changes when we vary the signals and rigs
+  that we assume, the row has the range of the number ([performance](performance.md)).
+- *Cannot be checked*: the data are not published, or our rigs disagree.
+
+"Small", "little" and "approximately" hold below a tenth and fail above a third. *Derived* numbers
+are products of printed gains that do not depend on the coordinates of the state: ten numbers for 40
+entries. A parameter *taken over* from the paper could hardly differ. The same is true for an
+*identity*, which is imposed, or is algebra, or follows from another row.
 
 {counts.to_markdown()}
 
