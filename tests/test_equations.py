@@ -102,5 +102,3 @@ def test_what_the_notebooks_suggest_to_try_comes_out(
         if not missing:
             break
     assert not missing
-
-

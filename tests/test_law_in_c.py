@@ -224,7 +224,7 @@ def test_what_contradicts_itself_or_is_not_known_is_refused(sanitized, tmp_path)
     for k, change in enumerate((*REFUSED, *UNREAD)):
         assert found[k] is None, change
         if change in REFUSED:
-            with pytest.raises(ValueError, match=f"{k}' is not a law of save_law"):
+            with pytest.raises(ValueError, match=f"{k}' is not a law saved by save_law"):
                 load_law(tmp_path / str(k))
 
 

@@ -145,7 +145,7 @@ def test_a_wheel_has_the_printed_numbers_and_writes_nowhere(tmp_path):
     assert module == str(packages / "rodlib" / "paper" / "published.py")
     assert numbers == f"{len(published.claims())} {{'{ledger.REPRODUCED}'}}"
     assert len(refusals) == 4
-    refusal = f"writes to a clone of the repository of rodlib, and {packages} is none"
+    refusal = f"writes to a clone of the repository of rodlib, but {packages} is not"
     assert all(refusal in line for line in refusals)
     assert sorted(packages.rglob("*")) == before and not list(empty.iterdir())
 

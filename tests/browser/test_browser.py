@@ -26,7 +26,16 @@ SHOWN = """text => document.querySelector(".widget-interact .jp-OutputArea")
 LOADED = """async () => { await (window.MathJax && MathJax.startup.promise);
     return [document.documentElement.scrollWidth, document.querySelectorAll("mjx-container").length,
         document.querySelectorAll("[data-mjx-error]").length,
-        [...document.images].filter(e => e.complete && !e.naturalWidth).length]; }"""
+        [...document.images].filter(e => e.complete && !e.naturalWidth).length,
+        [...document.querySelectorAll("main table.cards, main pre")].filter(e =>
+            e.clientWidth && (e.tagName === "TABLE" ? e.offsetWidth > e.parentElement.clientWidth
+                : innerWidth > 700 && e.scrollWidth > e.clientWidth)).length]; }"""
+# Entries of more than a few words that stand in a column of a few letters.
+SQUEEZED = """() => [...document.querySelectorAll("main td")].filter(
+    e => e.clientWidth && e.clientWidth < 100 && e.innerText.length > 30).length"""
+VISIBLE = ":is(.search-button__button, input[type=search]):visible"
+GENERATED = ("genindex", "py-modindex", "search")  # by Sphinx
+PARTS = ["Start", "Use", "The paper", "Beyond it", "Reference"]
 
 
 @pytest.fixture(scope="module")
@@ -142,13 +151,13 @@ def test_pages_show_all_there_is_without_a_network(page, tmp_path):
     assert len(paths) > 35
     for path in paths:
         page.goto(path.as_uri())
-        for width in (360, 1280):
+        for width in (360, 768, 1280):
             page.set_viewport_size({"width": width, "height": 800})
-            wide, formulas, misprinted, lost = page.evaluate(LOADED)
-            assert (wide, misprinted, lost) == (width, 0, 0), path
+            wide, formulas, misprinted, lost, cut = page.evaluate(LOADED)
+            assert (wide, misprinted, lost, cut) == (width, 0, 0, 0), path
         assert formulas or path.parent.name != "notebooks"
     page.goto((tmp_path / "notebooks/05-experiment-replay.html").as_uri())
-    slider, shown = page.locator("#trial"), page.locator("img:has(+ .trials)")
+    slider, shown = page.locator("#trial"), page.locator("a:has(+ .trials) img")
     whole = shown.get_attribute("src")
     for wide, key, ends in ((400, "End", "trial-10.png"), (1280, "ArrowLeft", "trial-9.png")):
         page.set_viewport_size({"width": wide, "height": 900})
@@ -157,6 +166,26 @@ def test_pages_show_all_there_is_without_a_network(page, tmp_path):
         page.wait_for_function("e => e.naturalWidth", arg=shown.element_handle())
     slider.press("Home")
     assert shown.get_attribute("src") == whole
+    slider.click()  # by the mouse, in its middle
+    assert page.url.endswith("replay.html") and shown.get_attribute("src").endswith("trial-5.png")
+    page.set_viewport_size({"width": 360, "height": 800})
+    for name, tallest in (("docs/guide", 20_000), ("figures/ledger", 100_000)):
+        page.goto((tmp_path / f"{name}.html").as_uri())
+        assert page.evaluate(SQUEEZED) == 0
+        assert page.evaluate("document.documentElement.scrollHeight") < tallest
+    start = tmp_path / "README.html"
+    page.goto(start.as_uri())
+    assert page.locator(VISIBLE).count() == 1
+    page.locator("button.primary-toggle").click()  # the guide is two clicks away
+    page.locator("nav.bd-links").get_by_role("link", name="Guide").click()
+    assert page.url.endswith("docs/guide.html")
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.goto(start.as_uri())
+    assert page.locator(VISIBLE).count() == 1
+    assert page.locator("nav.bd-links .caption").all_inner_texts() == PARTS
+    links = page.locator("nav.bd-links a").evaluate_all("all => all.map(a => a.href)")
+    texts = [path for path in paths if path.stem not in GENERATED and path != start]
+    assert sorted(links) == sorted(path.as_uri() for path in texts)
     assert all(url.startswith(("file:", "data:")) for url in requests)
     ledger = (tmp_path / "figures" / "ledger.html").read_text("utf-8")
     cells = {*re.findall(r'href="\.\./(notebooks/\S+\.html)#(cell-id=[^"]+)"', ledger)}

@@ -22,7 +22,7 @@ def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
     np.testing.assert_array_equal(log.u[0], table[:, 1:3])
     np.testing.assert_array_equal(log.y[0], table[:, 3:5])
     assert log.attrs["Ts"] == 1.0 and log.output_unit.values.tolist() == ["degC"] * 2
-    assert log.attrs["clock"].startswith("steps from 0.9903 to 1.021 s, median 1.001")
+    assert log.attrs["clock"].startswith("the steps are from 0.9903 to 1.021 s, with median 1.001")
     save_log(log, tmp_path / "log.csv")
     assert load_log(tmp_path / "log.csv").identical(log)
     with pytest.raises(LogError, match=r"format is None.*read_table"):

@@ -120,7 +120,7 @@ def test_logs_of_one_length_are_one_as_what_disturbs_them_may_repeat():
 )
 def test_what_is_not_one_linear_plant_is_said(kind, words):
     log, _ = KINDS[kind](np.random.default_rng(1))
-    with pytest.warns(UserWarning, match=f"y0 is not that of one linear plant: .*{words}"):
+    with pytest.warns(UserWarning, match=f"y0 does not respond as in one linear plant: .*{words}"):
         estimate = measured_response(log)
     assert estimate.apart > 0.01 and estimate.findings[0] in str(estimate)
 
@@ -146,7 +146,7 @@ def test_what_diverges_is_refused_and_what_integrates_is_within_the_region():
 
     with pytest.raises(ValueError, match="y0 does not settle"):
         measured_response(log(1.05))
-    with pytest.warns(UserWarning, match="P rises like that of an integrator"):
+    with pytest.warns(UserWarning, match="P rises like an integrator"):
         estimate = measured_response(log(1.0))
     covers(estimate, [[([0, 0.1], [1, -1.0])]])
 

@@ -200,11 +200,11 @@ def test_wrong_records_are_refused(loop, quick):
     for wrong, message in (
         (log_of(loop, quick, gap), "log.y"),
         (log_of(loop, quick, y, broken), "w is not the excitation"),
-        (without, "not of shake"),
+        (without, "not a log of shake"),
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(wrong)
-    with pytest.raises(ValueError, match="loop has 2 learned inputs, excitation has 1"):
+    with pytest.raises(ValueError, match="loop has 2 learned inputs, but excitation has 1"):
         one = multisine(ClosedLoop(Ts=1.0, outputs=["y1"]), 0.02, 0.5, 2.0, 1.0)
         shake(Failing(), loop, one)
 
