@@ -90,9 +90,9 @@ def paper_loop(rod: Rod = PAPER_ROD, degree: int = 3, Ts: float = 1.0) -> Curren
     Ts = arguments.number("Ts", Ts, what, 1e-5, 1e4)
     if (rod.sections, len(rod.sensors)) != (4, 2):
         raise ValueError(
-            f"rod has {rod.sections} sections and {len(rod.sensors)} sensors, but the paper's loop "
-            "has Q1 to Q4 and two sensors: for another rod see minimal_realisation and "
-            "current_trial_loop"
+            f"rod has {rod.sections} sections and {len(rod.sensors)} sensors, but the paper's "
+            "loop has the inputs Q1 to Q4 and two sensors: for another rod, use "
+            "minimal_realisation and current_trial_loop"
         )
     model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
     model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
@@ -140,7 +140,7 @@ def assumed_reference(
     array([12.,  8.])
     """
     samples = arguments.whole("samples", samples, 1)
-    what = "0.7 or more, since slower moves do not end within the trial"
+    what = "0.7 or more, because slower moves do not end within the trial"
     steepness = arguments.number("steepness", steepness, what, least=0.7)
     plateaus = arguments.array("plateaus", plateaus, (2, 2))
     time = np.arange(samples) / samples * 2500
@@ -201,7 +201,9 @@ def assumed_disturbance(
     trials = arguments.whole("trials", trials, 1)
     first = arguments.whole("first", first, 1)
     flows = arguments.array("flows", flows, (2,))
-    what = "above 0 and at most 0.7 of the trial, since a longer pulse does not end within it"
+    what = (
+        "above 0 and at most 0.7 of the trial, because a longer pulse does not end within the trial"
+    )
     duration = arguments.number("duration", duration, what, low=0, most=0.7)
     phase = np.arange(samples) / samples
     pulse = np.clip((phase[:, None] - [0.2, 0.3]) / duration, 0, 1)

@@ -194,10 +194,13 @@ def responses(
     arguments.instance("loop", loop, CurrentTrialLoop)
     arguments.instance("specimens", specimens, list)
     if not specimens or {*map(type, specimens)} != {Specimen}:
-        raise ValueError("specimens must be some, each of them a Specimen")
+        raise ValueError("specimens must be a list of one or more Specimen objects")
     inputs = specimens[0].rod.inputs
     if not {*loop.controls} <= {*inputs}:
-        raise ValueError(f"loop has the controls {loop.controls}, the rod the inputs {inputs}")
+        raise ValueError(
+            f"loop has the controls {loop.controls}, but the rod has the inputs "
+            f"{inputs}: pass a loop of this rod"
+        )
     omega = arguments.row("omega", omega)
     if executor is not None:
         arguments.instance("executor", executor, Executor)

@@ -30,8 +30,8 @@ def checked(**parameters: tuple) -> dict:
         defaults = ", ".join(f"`{parameters[name][1]!r}`" for name in others)
         display(
             Markdown(
-                f"**{choices}; the text was written for {defaults}.** What it says of numbers, and "
-                "concludes from them, holds for these only; the cells compute anew."
+                f"**{choices}, but the text was written for {defaults}.** The numbers and the "
+                "conclusions in the text hold for these values only. The cells compute new ones."
             )
         )
     return {name: value for name, (value, *_) in parameters.items()}

@@ -12,8 +12,8 @@ def checkout(what: str, root: Path = ROOT) -> Path:
     if project.is_file() and 'name = "rodlib"' in project.read_text(encoding="utf-8"):
         return root
     raise RuntimeError(
-        f"{what} writes to a clone of the repository of rodlib, and {root} is none: "
-        "clone it and work there"
+        f"{what} writes to a clone of the repository of rodlib, but {root} is not such a "
+        "clone: clone the repository and work there"
     )
 
 

@@ -72,9 +72,10 @@ def lab(tmp_path):
     settings = shutil.copytree(
         ROOT / "notebooks" / ".jupyterlab", tmp_path / "notebooks/.jupyterlab"
     )
-    nbformat.write(book, settings.with_name("01-model.ipynb"))
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     options = re.search(r"jupyter lab \$\(LAB\) (.*?) #", makefile)[1].split()
+    opened = re.search(r"default_url=/lab/tree/(\S+)", makefile)[1]
+    nbformat.write(book, settings.with_name(opened))
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"http://127.0.0.1:{free.getsockname()[1]}"

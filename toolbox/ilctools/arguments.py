@@ -98,11 +98,15 @@ def different(name: str, value) -> list[str]:
 def by_name(name: str, value, names: Sequence[str]) -> dict:
     """Check a dict whose keys are some of the signals `names`; None is an empty dict."""
     if not isinstance(value, dict | None):
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a dict by the names of signals")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} must be a dict whose keys are names of signals"
+        )
     given = value or {}
     unknown = [key for key in given if key not in names]
     if unknown:
-        raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
+        raise ValueError(
+            f"{name} has the keys {reprlib.repr(unknown)}, but its keys must be some of {names}"
+        )
     return given
 
 
@@ -138,7 +142,7 @@ def _order(name, own, names):
     if sorted(own) != sorted(names):
         raise ValueError(
             f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
-            "them, or pass an array, whose columns stand in that order"
+            "them, or pass an array whose columns are in that order"
         )
     return [own.index(label) for label in names]
 
@@ -159,7 +163,7 @@ def check_times(name: str, times, Ts: float) -> None:
     if not np.allclose(steps, Ts, rtol=0, atol=LATE * Ts):
         raise ValueError(
             f"{name} has times with steps from {steps.min():.6g} to {steps.max():.6g} s, but "
-            f"Ts is {Ts:.6g} s: correct Ts, or resample it"
+            f"Ts is {Ts:.6g} s: correct Ts, or resample {name}"
         )
 
 
@@ -179,7 +183,9 @@ def each_trial(name, signal, trials, samples, names, Ts):
 def path(name: str, value) -> Path:
     """Check the path of a file; ~ is the home folder of the user."""
     if not isinstance(value, str | PathLike) or not re.fullmatch(PRINTABLE, str(value)):
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file, printable")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} must be the path of a file, of printable characters"
+        )
     return Path(os.path.expanduser(value))
 
 
@@ -196,8 +202,8 @@ def stable(name: str, poles) -> float:
     radius = np.abs(poles).max(initial=0)
     if radius > CIRCLE:
         raise ValueError(
-            f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more; take the loop "
-            "that stabilises it, such as that of current_trial_loop"
+            f"{name} is unstable, because it has a pole of modulus {radius:.6g}, which is 1 or "
+            "more: pass a loop that stabilises it, such as the loop of current_trial_loop"
         )
     return radius
 
@@ -213,8 +219,8 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
         raise ValueError(
-            f"{name} must be an array of numbers, but is none: has it rows of different lengths, "
-            "or is it a Dataset?"
+            f"{name} must be an array of numbers, but is not: does it have rows of different "
+            "lengths, or is it a Dataset?"
         ) from None
     if plain.dtype.kind not in "iufc":
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
@@ -222,14 +228,18 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} is complex, but must be real")
     dimensions = getattr(value, "dims", ())
     if len(dimensions) > 1 and dimensions[-1] == "time":
-        raise ValueError(f"{name} has the dimensions {dimensions}: transpose it, the channels last")
+        raise ValueError(
+            f"{name} has the dimensions {dimensions}: transpose it, so that the channels come last"
+        )
     _check_shape(name, plain.shape, tuple(shape))
     result = np.asarray(np.ma.filled(plain.astype(dtype), np.nan))  # what is masked is missing
     finite = np.isfinite(result)
     if not finite.all():
         bad = np.argwhere(~finite)
         first = tuple(bad[0].tolist())
-        raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {first}")
+        raise ValueError(
+            f"{name} has {len(bad)} values that are not finite; the first of them is at {first}"
+        )
     return result
 
 
@@ -251,8 +261,8 @@ def representable(name: str, values, remedy: str) -> None:
     size = np.abs(values).max(initial=0)
     if not (size == 0 or TINIEST <= size <= 1 / TINIEST):
         raise ValueError(
-            f"{name} has values of {size:.3g} at most, whose squares are no doubles: pass it "
-            f"{remedy}"
+            f"{name} has values of at most {size:.3g}, whose squares floating-point numbers "
+            f"cannot represent: pass {name} {remedy}"
         )
 
 
@@ -266,8 +276,8 @@ def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
     omega = up_to_nyquist(name, array(name, value, ("frequency",)), Ts)
     if len(omega) < 2 or np.any(np.diff(omega) <= 0):
         raise ValueError(
-            f"{name}, of shape {omega.shape}, must be a row of increasing frequencies: sort them, "
-            "and those of P"
+            f"{name}, of shape {omega.shape}, must be a row of increasing frequencies: sort "
+            "them, and sort P accordingly"
         )
     return omega
 
@@ -277,8 +287,8 @@ def up_to_nyquist(name: str, omega: np.ndarray, Ts: float) -> np.ndarray:
     nyquist = np.pi / Ts
     if omega.min() < 0 or omega.max() > nyquist * (1 + LATE):
         raise ValueError(
-            f"{name} spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
-            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
-            "either is in another unit"
+            f"{name} spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in [0, "
+            f"{nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: check the "
+            f"units of {name} and Ts"
         )
     return np.minimum(omega, nyquist)

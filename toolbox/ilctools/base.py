@@ -108,7 +108,10 @@ class RegularisedInverse:
         of_normal = np.prod(np.linalg.svd(P, compute_uv=False) ** 2 + 1, axis=1)
         ratio = np.abs(np.linalg.det(F)) ** 2 / of_normal  # F* F = P* P + b^2
         if ratio.max() > ratio.min() * (1 + EXACT_FACTORS):
-            raise ValueError(f"b = {self.b} is too small for P: rounding decides the poles of B")
+            raise ValueError(
+                f"b = {self.b} is too small for P, because rounding then decides "
+                "the poles of B: take a smaller L_max, or a larger base"
+            )
         return poles
 
     def __matmul__(self, K: LearningFilter) -> Composition:

@@ -34,7 +34,7 @@ def alone(lock: Path, refusal: str) -> Iterator[None]:
     created or waited for.
     """
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
-        raise FileExistsError(f"{lock} is no regular file, or a link: remove it")
+        raise FileExistsError(f"{lock} is not a regular file, or is a link: remove it")
     with open(lock, "a", encoding="utf-8") as file:
         try:
             if fcntl:
@@ -49,7 +49,7 @@ def alone(lock: Path, refusal: str) -> Iterator[None]:
 def regular(path: Path) -> Path:
     """Return the path, or the target of a link; refuse a pipe, a device or a folder."""
     if path.exists() and not path.is_file():
-        raise FileExistsError(f"{path} is no regular file: choose another name")
+        raise FileExistsError(f"{path} is not a regular file: choose another name")
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
@@ -105,7 +105,8 @@ def keep_others(path: Path, head: str) -> None:
             start = file.read(len(head.encode()))
         if start and start != head.encode():
             raise ValueError(
-                f"path = {str(path)!r} is a file of another kind: choose another name, or remove it"
+                f"path = {str(path)!r} is a file of another kind: choose another name, or "
+                "remove the file"
             )
 
 

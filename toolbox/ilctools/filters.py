@@ -80,8 +80,8 @@ class ZeroPhaseButterworth:
         arguments.choice("ends", self.ends, list(ENDS))
         Ts = arguments.sampling_period("Ts", self.Ts)
         what = (
-            f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s; one that "
-            "is normalised, as scipy's, times that"
+            f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s; a "
+            "normalised cut-off, as in scipy, must be multiplied by this frequency"
         )
         cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
         order = arguments.whole("order", self.order, 1, HIGHEST_ORDER)
@@ -89,10 +89,11 @@ class ZeroPhaseButterworth:
         if not self._realised():
             end = "low" if cutoff < np.pi / Ts / 2 else "high"
             raise ValueError(
-                f"cutoff = {cutoff!r} rad/s is too {end} for order = {order} at Ts = {Ts} s: "
-                "rounding changes the filter by more than a millionth, or its response lasts more "
-                "than 1e7 samples. Lower the order, move the cut-off away from there, or take "
-                "another Ts. One that is normalised, as scipy's, is to be multiplied by pi / Ts"
+                f"cutoff = {cutoff!r} rad/s is too {end} for order = {order} at Ts = {Ts} s, "
+                "because rounding changes the filter by more than a millionth, or its "
+                "response lasts more than 1e7 samples: lower the order, choose another "
+                "cut-off, or take another Ts. If the cut-off is normalised, as in scipy, "
+                "multiply it by pi / Ts"
             )
 
     def _realised(self):
@@ -360,8 +361,9 @@ class Composition:
         if last.columns != first.rows:
             product = "B K" if self.K_first else "K B"
             raise ValueError(
-                f"L = {product} is none: B has {self.B.rows} rows and {self.B.columns} columns, "
-                f"K {self.K.rows} and {self.K.columns}"
+                f"L = {product} does not exist, because the sizes do not match: B has "
+                f"{self.B.rows} rows and {self.B.columns} columns, K has {self.K.rows} and "
+                f"{self.K.columns}"
             )
 
     @property

@@ -44,8 +44,8 @@ def with_axes(name: str, value, axes):
         array = array.rename(dict(zip(array.dims, axes, strict=True)))
     if {*array.dims} != {*axes}:
         raise ValueError(
-            f"{name} has the dimensions {[*array.dims]}, but must have {[*axes]}: rename them, or "
-            "pass an array, whose axes stand in that order"
+            f"{name} has the dimensions {[*array.dims]}, but must have {[*axes]}: rename them, "
+            "or pass an array whose axes are in that order"
         )
     return array.transpose(*axes)
 
@@ -64,9 +64,10 @@ def on(name: str, value, omega, axes=(FREQUENCY,)):
         return array, own
     if len(own) != len(omega) or not np.allclose(own, omega, rtol=arguments.LATE, atol=0):
         raise ValueError(
-            f"{name} is labelled with {len(own)} frequencies from {own[0]:.6g} to {own[-1]:.6g}, "
-            f"but omega has {len(omega)} from {omega[0]:.6g} to {omega[-1]:.6g} rad/s: they must "
-            "be the same, in the same order. Leave omega out, or pass an array"
+            f"{name} is labelled with {len(own)} frequencies from {own[0]:.6g} to "
+            f"{own[-1]:.6g} rad/s, but omega has {len(omega)} from {omega[0]:.6g} to "
+            f"{omega[-1]:.6g} rad/s: they must be the same, in the same order. Leave omega "
+            "out, or pass an array without labels"
         )
     return array, omega
 
@@ -75,7 +76,8 @@ def in_radians(name: str, omega) -> np.ndarray:
     """Check frequencies; refuse frequencies whose unit is Hz."""
     if "Hz" in (unit := str(getattr(omega, "attrs", {}).get("units"))):
         raise ValueError(
-            f"{name} is in {unit!r}, but must be in rad/s: convert it, and its attribute `units`"
+            f"{name} is in {unit!r}, but must be in rad/s: convert it, and correct its "
+            "attribute `units`"
         )
     return arguments.array(name, omega, (FREQUENCY,))
 

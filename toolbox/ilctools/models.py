@@ -39,7 +39,9 @@ copyreg.pickle(control.StateSpace, _reduced)  # its own attributes are lambdas
 
 
 def frequency_response(system: Model, omega) -> np.ndarray:
-    """Compute the response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex.
+    """Compute the response of a state-space model at `omega` (rad/s).
+
+    The response is complex and has the shape (n, outputs, inputs).
 
     See Also
     --------
@@ -65,7 +67,10 @@ def _response(system, points):
     T, B, C, D = schur_form(system)
     distance = np.abs(points[:, None] - np.diag(T)).min(initial=np.inf)
     if distance <= len(T) * np.finfo(float).eps * np.linalg.norm(T):  # within its rounding
-        raise ValueError("omega has the frequency of a pole: the system has no response there")
+        raise ValueError(
+            "omega contains the frequency of a pole, where the system has no "
+            "response: leave this frequency out"
+        )
     return by_substitution(T, B, C, D, points)
 
 
@@ -216,7 +221,7 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     T = reachable_basis(A, B[:, : len(controls)])
     T = T @ reachable_basis((T.T @ A @ T).T, (C @ T).T)
     if not T.size:
-        raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
+        raise ValueError(f"controls = {controls!r} act on no state that the outputs show")
     minimal = control.ss(
         T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
         inputs=plant.input_labels, outputs=plant.output_labels,
@@ -226,8 +231,9 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     P, same = (_response(x[:, [*controls]], points) for x in (plant, minimal))
     if np.abs(same - P).max() > SILENT * np.abs(P).max():
         raise ValueError(
-            f"plant: rounding decides which of its {len(A)} states controls reach and outputs "
-            "show, as of delays that entries share: keep all, as loops and designs may have them"
+            f"plant: rounding decides which of its {len(A)} states the controls reach and the "
+            "outputs show, as happens if entries share delays. Keep all states; loops and "
+            "designs accept them"
         )
     return minimal
 
@@ -252,8 +258,8 @@ def model_and_response(name: str, plant, omega, Ts: float):
     unsaid = measured and plant.dt in (None, True, 0)  # samples need not state a period
     if not unsaid and (plant.dt is True or plant.dt != Ts):  # True, some period, equals 1 s
         raise ValueError(
-            f"{name}.dt = {plant.dt!r} must be Ts = {Ts!r}: pass it, as control.ss(..., Ts), or "
-            "sample at it, by control.sample_system"
+            f"{name}.dt = {plant.dt!r} must be Ts = {Ts!r}: state it, by control.ss(..., Ts), "
+            "or sample the model at Ts, by control.sample_system"
         )
     if measured:
         return None, _samples_on(name, plant, omega, np.pi / Ts)
@@ -267,8 +273,9 @@ def _samples_on(name, P, omega, nyquist):
     own = np.minimum(P.omega, nyquist)  # rounding may take the last one above Nyquist's
     if len(own) != len(omega) or not np.allclose(own, omega, rtol=1e-9, atol=0):
         raise ValueError(
-            f"{name} is known at {len(P.omega)} frequencies, which are not those of omega: pass "
-            f"omega = {name}.omega, or {name} = measured_response({name}), splined between them"
+            f"{name} is known at {len(P.omega)} frequencies, which are not the frequencies "
+            f"omega: pass omega = {name}.omega, or {name} = measured_response({name}), which "
+            "interpolates between them"
         )
     return np.moveaxis(P.frdata, -1, 0)
 
@@ -277,7 +284,7 @@ def refuse_foreign(name: str, value) -> None:
     """Refuse models that are not linear models of python-control; the error names the remedy."""
     remedy, models = None, control.StateSpace | control.TransferFunction
     if isinstance(value, signal.lti | signal.dlti):
-        remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
+        remedy = f"for s = {name}.to_ss(), pass control.ss(s.A, s.B, s.C, s.D, s.dt)"
     elif hasattr(value, "cutoff"):
         remedy = "the plant comes first, as in synthesise(P, Q)"
     elif isinstance(value, control.NonlinearIOSystem) and not isinstance(value, control.LTI):
@@ -287,7 +294,9 @@ def refuse_foreign(name: str, value) -> None:
             f"{name}.dt = 0 is continuous time: pass control.sample_system({name}, Ts)"
         )
     if remedy:
-        raise ValueError(f"{name} = {reprlib.repr(value)} is no linear model of control: {remedy}")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} is not a linear model of python-control: {remedy}"
+        )
 
 
 def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
@@ -295,19 +304,21 @@ def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
     refuse_foreign(name, plant)
     if isinstance(plant, control.FrequencyResponseData):
         raise ValueError(
-            f"{name} is a table of a frequency response, and nothing can be simulated with it: "
-            "measured_response(table).model() is a model near it. ClosedLoop(Ts=..., "
+            f"{name} is a table of a frequency response, which cannot be simulated: "
+            "measured_response(table).model() gives a model near it. ClosedLoop(Ts=..., "
             "outputs=[...]) needs no P, and synthesise takes the table"
         )
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space(name, plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):
         raise ValueError(
-            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: pass it, as dt"
+            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: pass it as dt"
         )
     names = [*plant.output_labels, *plant.input_labels]
     if len(set(names)) < plant.noutputs + plant.ninputs:
-        raise ValueError(f"{name} has the signals {names}: each needs a name of its own")
+        raise ValueError(
+            f"{name} has the signals {names}, but each signal needs its own name: rename them"
+        )
     return _realised(plant, name) if isinstance(plant, control.TransferFunction) else plant
 
 
@@ -367,8 +378,8 @@ def _without_delay(name, plant, i, j):
         return delay, control.ss(rest.A, rest.B, size * rest.C, size * rest.D, rest.dt)
     except ValueError as error:
         raise ValueError(
-            f"{name} has more zeros than poles, and would have to look ahead, or coefficients that "
-            f"are not finite ({error}): delay it"
+            f"{name} has more zeros than poles, so that it would have to look ahead, or it has "
+            f"coefficients that are not finite ({error}): delay it"
         ) from None
 
 

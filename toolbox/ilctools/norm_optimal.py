@@ -88,8 +88,8 @@ class NormOptimal:
         errors = arguments.array("errors", errors, (self.samples, self.columns))
         if errors.min() < 0 or not errors.any():
             raise ValueError(
-                f"errors reach from {errors.min():.6g} to {errors.max():.6g}, but must not be "
-                "negative, and not all zero"
+                f"errors range from {errors.min():.6g} to {errors.max():.6g}, but must be 0 or "
+                "more, and not all zero"
             )
         return errors
 

@@ -146,7 +146,7 @@ def check_match(**parties) -> None:
             number = isinstance(value, float)  # a sampling period, which may be rounded
             if not (isclose(value, first, rel_tol=1e-12) if number else value == first):
                 raise ValueError(
-                    f"{first_words}, {words}: they must be the same, in the same order"
+                    f"{first_words}, but {words}: they must be the same, in the same order"
                 )
 
 

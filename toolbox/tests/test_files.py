@@ -53,7 +53,7 @@ def test_a_lock_does_not_follow_a_link_and_waits_for_no_pipe(tmp_path):
     os.mkfifo(pipe)
     for name in (lock, pipe):
         with (
-            pytest.raises(FileExistsError, match=f"{name} is no .* link: remove it"),
+            pytest.raises(FileExistsError, match=f"{name} is not a .* link: remove it"),
             alone(name, ""),
         ):
             pytest.fail("must not come that far")

@@ -94,8 +94,10 @@ REFUSED = {
     ),
     "P.frequency is in 'Hz'": lambda: synthesise(TABLE.assign_coords(frequency=IN_HERTZ), Q),
     "omega is in 'Hz'": lambda: synthesise(P, Q, IN_HERTZ),
-    r"design.labels = .*, P.labels = \['y', 'x'.* same order": lambda: DESIGN.check(TURNED),
-    r"P\[0\].labels = .*, P\[1\].labels = .* same order": lambda: synthesise([MODEL, TURNED], Q),
+    r"design.labels = .*, but P.labels = \['y', 'x'.* same order": lambda: DESIGN.check(TURNED),
+    r"P\[0\].labels = .*, but P\[1\].labels = .* same order": lambda: synthesise(
+        [MODEL, TURNED], Q
+    ),
     r"P.output = \['x', 'x'\]": lambda: DESIGN.check(TABLE.assign_coords(output=["x", "x"])),
     r"P\[0\] has shape": lambda: synthesise([*map(pd.DataFrame, P)], Q, OMEGA),
     "Q is labelled with .*31.4": lambda: convergence(MODEL, GAINS[::-1], L, OMEGA),

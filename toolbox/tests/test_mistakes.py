@@ -77,7 +77,7 @@ def labelled(*names):
 REFUSED = {  # what the error says, and a call
     # units, and what is exchanged
     "omega must be given: P is an array": lambda: convergence(P, Q, IN_MS),
-    "omega must be given, as Q": lambda: synthesise(LOOP, np.ones(60)),
+    "omega must be given, because Q": lambda: synthesise(LOOP, np.ones(60)),
     "omega = Zero.*Q comes second": lambda: synthesise(LOOP, OMEGA, Q),
     "omega, .* a row of increasing frequencies: sort": lambda: synthesise(
         P, OMEGA, Q.frequency_response(OMEGA), TS
@@ -93,18 +93,18 @@ REFUSED = {  # what the error says, and a call
     r"signal has shape \(2, 30\), but must": lambda: IN_MS.apply(np.ones((2, 30))),
     "(?s:.*)as control.frd(?s:.*)log, omega, Ts": lambda: measured_response(TABLE.frdata),
     # numbers that no plant has
-    r"reference has values of 1e\+300 .*another unit": lambda: synthesise(
+    r"reference has values of at most 1e\+300, .*another unit": lambda: synthesise(
         MODEL, Q, reference=np.full(60, 1e300)
     ),
-    r"P has values of 2.55e-300 at most, .*nearer to one": lambda: synthesise(
+    r"P has values of at most 2.55e-300, .*nearer to one": lambda: synthesise(
         1e-300 * P, Q, OMEGA, order=5, base=None
     ),
-    r"scale has values of 1e\+300 at most, .*other units": lambda: synthesise(
+    r"scale has values of at most 1e\+300, .*other units": lambda: synthesise(
         OF_AXES.problem.response.models[0], OF_AXES.Q, scale=[1e300, 1e-300]
     ),
     "P.dt = None must be Ts = 1.0": lambda: synthesise(control.ss([], [], [], 2.0), Ts=1.0),
     # what is no plant, no filter, no log
-    "Q turns the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
+    "Q shifts the phase .* one direction": lambda: synthesise(P, CAUSAL, OMEGA, TS),
     "Q = Trans.* one direction only: pass zero_ph": lambda: synthesise(MODEL, control.tf(MODEL)),
     "P = (?s:.*)to_ss": lambda: synthesise(SCIPY_MODEL, Q),
     "plant = (?s:.*)linearize": lambda: current_trial_loop(
@@ -113,15 +113,15 @@ REFUSED = {  # what the error says, and a call
     r"log.omega = \[0.0, .{,80}\.\.\.\] must be": lambda: measured_response(
         control.frd(np.ones(200), np.arange(200.0))
     ),
-    r"log\.y of x never moved: is it connected": lambda: measured_response(
+    r"log\.y of x never moved: is its sensor connected": lambda: measured_response(
         shake(Stuck(LAG), LOOP, SHAKING)
     ),
-    r"e has no reference and y, but \['y'\]: pass one of them": lambda: rms(
+    r"e has the variables \['y'\], but .*: pass one of its variables": lambda: rms(
         xr.Dataset({"y": (("time", "channel"), ZERO)})
     ),
     # sizes
     r"e has dimensions \('time',\)": lambda: rms(xr.DataArray(ZERO[:, 0], dims="time")),
-    "P has a radius, for which a design answers": lambda: convergence(
+    "P has a radius, which .*: use design.check": lambda: convergence(
         measured_response(control.frd(P.T, OMEGA), uncertainty=0.1 * np.abs(P.ravel())),
         Q,
         IN_MS,
@@ -135,14 +135,14 @@ REFUSED = {  # what the error says, and a call
         [LAG, 1000 * LAG], LAW.Q, order=3, L_max=None
     ),
     "(?s:.*)L_max = 5": lambda: least_gain(MODEL, Q, L_max=5.0),
-    "(?s:.*)most in the way": lambda: synthesise([LAG, -LAG], M_max=0.4),  # B of both is zero
+    "(?s:.*)the main obstacle is": lambda: synthesise([LAG, -LAG], M_max=0.4),  # B of both is zero
     # names, units, times
     "reference .*T1.*y1": lambda: run_trials(PAPER, LAW_OF_TWO, labelled("T1", "T2")),
-    "law.labels = .*, loop.labels = .* in the same order": lambda: run_trials(
+    "law.labels = .*, but loop.labels = .* in the same order": lambda: run_trials(
         ClosedLoop(TURNED), OF_AXES.law(), TWO
     ),
     "loop.labels = .* plant.labels": lambda: run_trials(AXES, OF_AXES.law(), TWO, plant=TURNED),
-    r"design.units\['x'\] = 'm', P.units\['x'\] = 'mm'": lambda: OF_AXES.check(
+    r"design.units\['x'\] = 'm', but P.units\['x'\] = 'mm'": lambda: OF_AXES.check(
         ClosedLoop(axes(), units={"x": "mm"})
     ),
     "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s": lambda: transfer(
@@ -150,10 +150,10 @@ REFUSED = {  # what the error says, and a call
     ),
     "reference has times .* 0.5 s, but Ts is 1 s": lambda: run_trials(LOOP, LAW, HALF.x),
     # more outputs than inputs
-    "base = None needs as many .* has 2 and 1": lambda: synthesise(
+    "base = None needs as many .* has 2 inputs and 1 outputs": lambda: synthesise(
         axes()[0, :], OF_AXES.Q, base=None
     ),
-    "structure = 'diagonal' needs as many .* has 2 and 1": lambda: synthesise(
+    "structure = 'diagonal' needs as many .* has 2 inputs and 1 outputs": lambda: synthesise(
         axes()[0, :], OF_AXES.Q, structure="diagonal"
     ),
     r"scale = .* must be a dict by the names of outputs": lambda: synthesise(
@@ -165,11 +165,11 @@ REFUSED = {  # what the error says, and a call
     # a loop that is not ours
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
     "P is unstable.*current_trial_loop": lambda: ClosedLoop(control.ss(2.0, 1, 1, 0, 1.0)),
-    "P has the inputs .* and not as many": lambda: ClosedLoop(axes()[0, :]),
-    r"references\['set x'\] = 'z' is none of the outputs": lambda: ClosedLoop(
+    "P has the inputs .* not equally many": lambda: ClosedLoop(axes()[0, :]),
+    r"references\['set x'\] = 'z' must be one of the outputs": lambda: ClosedLoop(
         axes(), references={"set x": "z"}
     ),
-    r"references is about \['set z'\]": lambda: ClosedLoop(axes(), references={"set z": "x"}),
+    r"references has the keys \['set z'\]": lambda: ClosedLoop(axes(), references={"set z": "x"}),
     r"learned = \['force'\] must name some": lambda: ClosedLoop(axes(), learned=["force"]),
     r"the inputs \['set y'\] of P take neither": lambda: ClosedLoop(
         axes(), references={"set x": "x"}, learned=["set x"]
@@ -202,20 +202,20 @@ def test_an_error_names_the_argument(words):
 LATE = MOVE[20:]  # from the middle of a move
 SHARE = 100 * np.mean(MOVE > 1)
 SAID = {  # what a warning says, and simulated trials that cannot work
-    "predicts 0.*-1 in x came; .*exchanged or reversed": lambda: run_trials(
+    "predicts 0.* x changed by -1 times .*exchanged or reversed": lambda: run_trials(
         AXES, OF_AXES.law(), TWO, None, 3, plant=altered(axes(), B=-1.0)
     ),
-    "predicts 0.*-0.96 in x came; .*exchanged or reversed": lambda: run_trials(
+    "predicts 0.* x changed by -0.96 times .*exchanged or reversed": lambda: run_trials(
         AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3,
         plant=control.ss(TURNED, outputs=["x", "y"]),
     ),
     "^no output moves in the 60 samples of a trial": lambda: run_trials(
         ClosedLoop(furnace(60)), LAW, MOVE, None, 2
     ),
-    f"^the reference starts {LATE[0]:.3g} in x from where trials do": lambda: run_trials(
+    f"^the reference starts {LATE[0]:.3g} in x away from where trials start": lambda: run_trials(
         LOOP, LAW, LATE, None, 2
     ),
-    f"^commands were beyond the limits of w in {SHARE:.1f}%.*cut off": lambda: run_trials(
+    f"^commands were beyond the limits of w in {SHARE:.1f}%.*saturated there": lambda: run_trials(
         LOOP, replace(LAW, limits={"w": (-1.0, 1.0)}), MOVE, None, 1
     ),
 }  # fmt: skip
@@ -230,7 +230,7 @@ def test_simulated_trials_that_cannot_work_are_warned_of(words):
 
 def test_outputs_in_different_units_without_a_scale_are_said():
     mixed = ClosedLoop(axes(), units={"x": "mm", "y": "K"})
-    with pytest.warns(UserWarning, match="outputs are in K, mm, .* pass `scale`"):
+    with pytest.warns(UserWarning, match="the outputs are in K, mm, .* pass `scale`"):
         synthesise(mixed, OF_AXES.Q)
     synthesise(mixed, OF_AXES.Q, scale=[2.0, 0.5])
 

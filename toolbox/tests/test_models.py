@@ -38,8 +38,8 @@ RESTING = control.ss(-1, [[0.0, 1.0]], 1, 0, inputs=["u", "d"])
 REFUSED = [  # a call, and how the error begins
     (lambda: minimal_realisation(RESTING, ["Q1", "Q9"]), "controls = "),
     (lambda: minimal_realisation(RESTING, []), "controls = "),
-    (lambda: minimal_realisation(RESTING, ["u"]), "controls = .* reach no state"),
-    (lambda: frequency_response(control.ss(0, 1, 1, 0), [1, 0]), "omega has the freq"),
+    (lambda: minimal_realisation(RESTING, ["u"]), "controls = .* act on no state"),
+    (lambda: frequency_response(control.ss(0, 1, 1, 0), [1, 0]), "omega contains the freq"),
     (lambda: frequency_response(control.ss(0.5, 1, 1, 0, True), [1]), "system.dt = Tr"),
 ]
 

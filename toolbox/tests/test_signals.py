@@ -12,7 +12,7 @@ MODEL = control.ss(0.5, 1, 1, 0, 0.3)
 def test_periods_of_models_filters_and_signals_are_equal_up_to_rounding():
     Q = zero_phase_butterworth(2, 0.1, 0.1 * 3)
     check_match(P=MODEL, Q=Q, L=LearningFilter([[[1.0]]], 0.3), log=Signals())
-    with pytest.raises(ValueError, match=r"P.Ts = 0.3, Q.Ts = 0.3000000003"):
+    with pytest.raises(ValueError, match=r"P.Ts = 0.3, but Q.Ts = 0.3000000003"):
         check_match(P=MODEL, Q=zero_phase_butterworth(2, 0.1, 0.3000000003))
 
 
@@ -28,9 +28,9 @@ def test_labels_of_models_may_differ_but_not_in_their_order():
     ("other", "words"),
     [
         (Signals(outputs=["b", "a"]), "log.outputs"),
-        (Signals(outputs=["a"]), "loop has 2 outputs, log has 1 outputs"),
+        (Signals(outputs=["a"]), "loop has 2 outputs, but log has 1 outputs"),
         (Signals(controls=["u"]), "log.controls"),
-        (Signals(units={"b": "K", "a": "m"}), r"loop.units\['a'\] = 'mm', log.units\['a'\] = 'm'"),
+        (Signals(units={"b": "K", "a": "m"}), r"units\['a'\] = 'mm', but log.units\['a'\] = 'm'"),
     ],
 )
 def test_channels_their_order_and_units_must_match(other, words):

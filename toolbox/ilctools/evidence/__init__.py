@@ -1,7 +1,8 @@
 """Evidence for a learning filter that does not come from the solver.
 
-Each question has its own module, whose docstring begins with the question. The modules receive a
-problem and a solution, and nothing else. With the solvers they share only the function for the
-singular values of a matrix. :mod:`~ilctools.evidence.certificate` combines the answers that exist
-for every filter.
+Each question has its own module, whose docstring begins with the question. These modules and the
+solver, :mod:`ilctools.synthesis.solver`, share only the function for the largest singular values of
+a matrix. The synthesis takes the worst case over the plants from
+:mod:`~ilctools.evidence.robustness`, to find which plants and frequencies need bounds.
+:mod:`~ilctools.evidence.certificate` combines the answers that exist for every filter.
 """

@@ -250,6 +250,7 @@ class Certificate:
 
         - *on the grid*, which contains omega and all other frequencies that needed bounds;
         - *proven* at all frequencies, for the plants that are models, without the radius;
+        - *where P passes nothing*: proven as well, but M is |Q| there for any L;
         - *estimated* on a dense grid, from the first to the last frequency of omega;
         - *assumed* below the first sample and above the last one.
 

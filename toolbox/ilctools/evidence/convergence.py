@@ -21,10 +21,11 @@ from ilctools.singular_values import largest_singular_values, tied
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """How fast the trials converge, by M = Q (I - P L). :func:`convergence` makes it.
+    """How fast the trials converge, by M = Q (I - P L), as :func:`convergence` computes it.
 
-    For p plants, `sigma` has the shape (p, n), and each other result has the shape (p,). The result
-    of :meth:`.Synthesis.check` is for the worst of all plants, and also between the frequencies.
+    For p plants, `sigma` has the shape (p, n), and `rate`, `at` and `spectral_radius` have the
+    shape (p,). The result of :meth:`.Synthesis.check` is for the worst of all plants, and also
+    between the frequencies.
     """
 
     omega: np.ndarray  # (n,), rad/s
@@ -70,16 +71,16 @@ class Convergence:
         if self.monotone:
             how = "converges monotonically"
         elif self.converges:
-            how = "converges, not monotonically"
+            how = "converges, but not monotonically"
         else:
             how = "diverges" if radius >= 1 else "need not converge"
-        where = "at all frequencies" if self.proven else "not proven between samples"
+        where = "at all frequencies" if self.proven else "not proven between frequencies"
         line = (
-            f"{how}: sigma_max(M) is {rate:.4f} at most, at {at:.4g} rad/s ({where}), "
-            f"|eigenvalue of M| {radius:.4f}"
+            f"{how}: sigma_max(M) is at most {rate:.4f}, at {at:.4g} rad/s ({where}), and the "
+            f"largest |eigenvalue of M| is {radius:.4f}"
         )
         if how == "diverges":  # short trials show this only slowly
-            line += ", for trials that are long against the slowest mode"
+            line += ", in trials that are long compared with the slowest mode"
         return "\n".join([line, *self.assumptions])
 
 
@@ -123,7 +124,9 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     arguments.instance("L", L, LearningOperator)
     response = response_of(P, omega, L.Ts, Q=Q)
     if response.radius is not None:
-        raise ValueError("P has a radius, for which a design answers: design.check(P)")
+        raise ValueError(
+            "P has a radius, which convergence cannot take into account: use design.check(P)"
+        )
     check_match(P=response.signals, L=L)
     omega, responses = response.omega, response.P
     check_learning(L, "L", *responses.shape[:-3:-1])

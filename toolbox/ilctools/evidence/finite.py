@@ -180,9 +180,9 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
     size = samples * L.rows
     if size > MOST_REACHED:
         raise ValueError(
-            f"samples = {samples} with {L.rows} learned inputs and {L.columns} outputs are {size} "
-            f"numbers, more than {MOST_REACHED}, for which the norm takes minutes: take a shorter "
-            "trial"
+            f"samples = {samples}, with {L.rows} learned inputs and {L.columns} outputs, makes "
+            f"{size} numbers, but with more than {MOST_REACHED} the norm takes minutes: take a "
+            "shorter trial"
         )
     errors = np.eye(samples * L.columns).reshape(-1, samples, L.columns)
     made = Q.apply(L.apply(errors))

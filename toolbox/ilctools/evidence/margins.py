@@ -69,9 +69,10 @@ class Margins:
         low, high = self.gain
         (less, more), (faster, slower) = self.delay, self.time
         return (
-            f"margins: gain {_percent(1 - low)} lower to {_percent(high - 1)} higher, delay "
-            f"{inwards(less):g} samples less to {inwards(more):g} more, {_percent(faster - 1)} "
-            f"faster to {_percent(slower - 1)} slower, any error of {_percent(self.radius)} of "
+            f"margins (one change at a time): gain {_percent(1 - low)} lower to "
+            f"{_percent(high - 1)} higher, delay {inwards(less):g} samples shorter to "
+            f"{inwards(more):g} longer, time scale {_percent(faster - 1)} faster to "
+            f"{_percent(slower - 1)} slower, any error up to {_percent(self.radius)} of "
             "sigma_max(P) at the cut-off"
         )
 

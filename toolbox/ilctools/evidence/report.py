@@ -20,13 +20,13 @@ def printed(certificate) -> str:
     lines = [
         _rate(certificate),
         *([repr(certificate.margins)] if certificate.rate <= 1 + PEAK_TOLERANCE else []),
-        ", ".join(_gains(certificate)),
+        "; ".join(_gains(certificate)),
         *_unequal(certificate),
         "; ".join([_limits(certificate), *_mean(certificate)]),
         *_deaf(certificate),
         *map(str, known),
         *_below(certificate),
-        *([] if all_known else ["assumptions: .certificate.details"]),
+        *([] if all_known else ["assumptions: see .certificate.details"]),
     ]
     return "\n".join([*lines, *_against(certificate)])
 
@@ -46,7 +46,7 @@ def details(certificate) -> str:
             (certificate.anywhere(claim), f"{claim.what}, at all frequencies"),
         ]
     if not bounds.on("L"):
-        table.append((certificate.all_L, "sigma_max(L), at all frequencies, not bounded"))
+        table.append((certificate.all_L, "sigma_max(L), at all frequencies, without a bound"))
     table += [
         (certificate.value, "objective"),
         (certificate.lower_bound, "lower bound of the objective"),
@@ -83,15 +83,15 @@ def _gains(certificate):
     """P at rest, cut-off, delay, the gain of L for each of its bounds, the norm of a trial."""
     problem, trial = certificate.problem, certificate.settled_trial
     yield at_rest_in_words(problem.response)
-    yield f"Q's cut-off {problem.lowpass.cutoff:.4g} rad/s"
-    yield f"where P lags by {problem.delay_samples} samples"
-    yield f"sigma_max(L) {certificate.all_L:.3g}"
+    yield f"the cut-off of Q is {problem.lowpass.cutoff:.4g} rad/s"
+    yield f"P has a delay of {_count(problem.delay_samples, 'sample')} there"
+    yield f"sigma_max(L) is {certificate.all_L:.3g}"
     for claim in problem.bounds.on("L"):
         if claim.lowest > 0:
-            yield f"{claim.what} {certificate.anywhere(claim):.3g}"
+            yield f"{claim.what} is {certificate.anywhere(claim):.3g}"
     if trial.samples:
         of_which = ", over all v that errors lead to" if problem.m > problem.p else ""
-        yield f"norm of a trial of {trial.samples} samples {trial.norm:.3g}{of_which}"
+        yield f"the norm of a trial of {trial.samples} samples is {trial.norm:.3g}{of_which}"
 
 
 def _unequal(certificate):
@@ -101,13 +101,16 @@ def _unequal(certificate):
         return
     counts = f"{_count(problem.m, 'learned input')} for {_count(problem.p, 'output')}"
     if problem.m > problem.p:
-        yield f"{counts}: of all v that remove an error, the smallest is learned"
+        yield f"{counts}: among all v that remove an error, the law learns the smallest"
         return
-    text = f"{counts}: the rate is that of v, and the error that v cannot reach stays"
+    text = (
+        f"{counts}: the rate is the rate of v, and the part of the error that v cannot "
+        "reach remains"
+    )
     if problem.objective.first_error is not None:
         names, _ = problem.response.names
         rms = zip(names, unreachable_rms(problem), strict=True)
-        text += ", an RMS of " + ", ".join(f"{value:.3g} in {name}" for name, value in rms)
+        text += ", with an RMS of " + ", ".join(f"{value:.3g} in {name}" for name, value in rms)
     yield text
 
 
@@ -120,20 +123,23 @@ def _deaf(certificate):
     """Where P passes nothing, in words."""
     if DEAF in certificate.peaks:
         place = certificate.place(certificate.peaks[DEAF])
-        yield f"P passes nothing {place}: M is |Q| for any L, and the error stays"
+        yield (
+            f"P passes nothing {place}: sigma_max(M) is |Q| for every L, and the error there "
+            "remains"
+        )
 
 
 def _below(certificate):
     """What is assumed below the first sample, and the rate without it."""
     if below := certificate.problem.response.below_in_words:
-        yield f"{below}; from there on the rate is {certificate.rate_above:.4f}"
+        yield f"{below}; above this frequency, the rate is {certificate.rate_above:.4f}"
 
 
 def _limits(certificate):
     """The bounds that limit the optimum, and the size of the filter."""
     problem = certificate.problem
     if np.isnan(certificate.lower_bound):
-        return "L = B by its formula, K = 1: nothing was optimised"
+        return "L = B by its formula (K = 1): nothing was optimised"
     of_grid = zip(problem.bounds.claims, certificate.problem_on_grid.bounds.claims, strict=True)
     limits = [
         str(stated)
@@ -143,7 +149,7 @@ def _limits(certificate):
     size = f"order = {problem.order}"
     if problem.base is not None:
         product = "K B" if problem.of_v else "B K"
-        size += f" of K in L = {product}, by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
+        size += f" of K in L = {product} by convex optimisation, and sigma_max(K) <= {K_MAX:g}"
     return f"limited by {', '.join([*limits, size])}"
 
 

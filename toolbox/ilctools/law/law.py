@@ -101,8 +101,9 @@ class Law:
     def __post_init__(self):
         if not isinstance(self.Q, ZeroPhaseButterworth):
             raise ValueError(
-                f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which runs in both "
-                "directions: zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
+                f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which filters in "
+                "both directions: pass zero_phase_butterworth(order, cutoff, Ts), with the "
+                "cut-off in rad/s"
             )
         if self.L is not None:
             check_learning(self.L)
@@ -125,8 +126,9 @@ class Law:
         names = self.limits if isinstance(self.limits, dict) else ()
         if outputs := [n for n in names if n in self.loop.outputs and n not in commands]:
             raise ValueError(
-                f"limits[{outputs[0]!r}] is of an output: it takes a plant and its radius to keep "
-                "it, so make the law by a design, synthesise(...).law(limits=...)"
+                f"limits[{outputs[0]!r}] is a limit of an output, which only the law of a "
+                "design can keep, because it takes a plant and its radius: make the law by "
+                "synthesise(...).law(limits=...)"
             )
         if kept is not None:
             arguments.instance("output_limits", kept, OutputLimits)
@@ -186,7 +188,9 @@ class Law:
         if not self.known_limits:
             return None
         if self.loop is None:
-            raise ValueError("limits need the law's loop: law.bound_to(loop)")
+            raise ValueError(
+                "limits need the loop of the law: bind the law first, by law.bound_to(loop)"
+            )
         if self.L is not None:
             check_solver(self.loop)
         return Actuators.of(self.known_limits, self.loop)
@@ -198,7 +202,7 @@ class Law:
             return replace(self, loop=loop)
         if not same_loop(self.loop, loop):
             raise ValueError(
-                "law is bound to another loop: pass law.loop, or "
+                "law is bound to another loop: pass the loop law.loop, or unbind the law by "
                 "dataclasses.replace(law, loop=None)"
             )
         return self
@@ -309,9 +313,14 @@ class Law:
     def _keeping_outputs(self, target, v, applied, y, reference, moved, past):
         """Keep limits of outputs: the second part of :meth:`within_limits`."""
         if self.loop is None:
-            raise ValueError("limits of outputs need the law's loop: law.bound_to(loop)")
+            raise ValueError(
+                "limits of outputs need the loop of the law: bind the law first, "
+                "by law.bound_to(loop)"
+            )
         if y is None:
-            raise ValueError("y = None: with limits of outputs, the trial's outputs are needed")
+            raise ValueError(
+                "y = None, but with limits of outputs the outputs of the trial are needed: pass y"
+            )
         added, kept = self.loop.one_for_one, self.output_limits
         now = Done(v + reference if added else v, y)
         wanted = target - v + (moved if added else 0)
@@ -338,8 +347,9 @@ class Law:
         if not self.loop.one_for_one and self.loop.references:
             name = kept.region.outputs[int(kept.beyond(y).argmax())]
             raise ValueError(
-                f"{name} was beyond its limit by {kept.beyond(y).max():.3g}, and v alone does not "
-                "bring it back, as it has a reference of its own: take a smaller reference"
+                f"{name} was beyond its limit by {kept.beyond(y).max():.3g}, and v alone "
+                f"cannot bring it back, because {name} also follows a reference: take a "
+                "smaller reference"
             )
         share = kept.safe_share(y)
         if not self.loop.one_for_one:
@@ -361,8 +371,9 @@ class Law:
         labels = arguments.names_of(signal) or [""] * count
         if any(labels) and count > 1:
             raise ValueError(
-                f"v or e holds the signals {reprlib.repr(labels)}, of which a law without a loop "
-                "does not know the order: bind it, law.bound_to(loop), or pass an array"
+                f"v or e holds the signals {reprlib.repr(labels)}, but a law without a loop "
+                "does not know their order: bind the law, by law.bound_to(loop), or pass an "
+                "array"
             )
         return labels
 
@@ -371,7 +382,9 @@ class Law:
         if self.actuators is None:
             return v, applied
         if u is None:
-            raise ValueError("u = None: with limits, the trial's commands are needed")
+            raise ValueError(
+                "u = None, but with limits the commands of the trial are needed: pass u"
+            )
         commands, shape = self.loop.commands, (*v.shape[:-1], len(self.loop.commands))
         u = arguments.in_columns("u", u, shape, commands)
         if applied is None:
@@ -387,8 +400,8 @@ def _two_references(references, e, y, names):
         return None if y is None else (e + y, e + y)
     if not isinstance(references, list | tuple) or len(references) != 2:
         raise ValueError(
-            f"references = {reprlib.repr(references)} must be two: that of the trial, and that of "
-            "the next one"
+            f"references = {reprlib.repr(references)} must be two references: one of the "
+            "trial, and one of the next trial"
         )
     return [arguments.in_columns("references", r, e.shape, names) for r in references]
 
@@ -397,7 +410,7 @@ def _finite(signal):
     """Return the signal; a ValueError if it overflowed, because actuators would get it."""
     if not np.isfinite(signal).all():
         raise ValueError(
-            f"v or e is too large: the next v would exceed {np.finfo(float).max:.2g}. Check the "
-            "units, and whether the trials have diverged"
+            f"v or e is too large, because the next v would exceed {np.finfo(float).max:.2g}: "
+            "check the units, and whether the trials have diverged"
         )
     return signal

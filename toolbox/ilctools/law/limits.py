@@ -24,7 +24,7 @@ from ilctools.models import from_rest
 # A solver's rounding may pass the limits by this fraction of their width. The projection keeps this
 # distance from the limits, and its commands are then not counted as saturated.
 SOLVER_ROUNDING = 1e-6
-CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
+CUT_OFF = "; the actuators saturated there, and the law learns v within the limits"  # for the law
 UNLIMITED = (-np.inf, np.inf)
 
 
@@ -50,7 +50,9 @@ def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tu
     for key, values in arguments.by_name(name, limits, limits if names is None else names).items():
         low, high = arguments.array(f"{name}[{key!r}]", values, (2,)).tolist()
         if not low < high:
-            raise ValueError(f"{name}[{key!r}] = {values!r} must be a lower and a higher number")
+            raise ValueError(
+                f"{name}[{key!r}] = {values!r} must be two numbers, the lower limit first"
+            )
         checked[key] = low, high
     return checked
 
@@ -106,8 +108,8 @@ def check_solver(loop: Loop) -> None:
     """Refuse to learn within limits, before any trial, if the solver is not installed."""
     if loop.P_v is not None and nearest.piqp is None:
         raise ImportError(
-            "limits of a law need the package piqp: install it, by pip install piqp, or leave the "
-            "limits out, Law(..., limits={})"
+            "limits of a law need the package piqp: install it, by pip install piqp, or leave "
+            "the limits out, by Law(..., limits={})"
         )
 
 

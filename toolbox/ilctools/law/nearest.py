@@ -86,8 +86,8 @@ def nearest(
     status = solver.solve()
     if status != piqp.PIQP_SOLVED:
         raise NotFound(
-            f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
-            "the loop's signals of very different sizes?"
+            f"the solver PIQP has found no v within the limits ({status}): are the limits very "
+            "narrow, or do the signals of the loop have very different sizes?"
         )
     return unit * solver.result.x[-active * P.ninputs :].reshape(active, -1)
 

@@ -329,7 +329,7 @@ def load_law(path) -> Law:
     except (OSError, *MISUNDERSTOOD) as error:
         raise ValueError(
             shortened(
-                f"path = {str(path)!r} is not a law of save_law: {error!r}. The law of a log is "
-                "ilctools.law_of(load_log(path))"
+                f"path = {str(path)!r} is not a law saved by save_law: {error!r}. For the law "
+                "of a log, call ilctools.law_of(load_log(path))"
             )
         ) from None

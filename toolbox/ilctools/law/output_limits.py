@@ -76,8 +76,9 @@ class OutputLimits:
             rest, n = reference[0, i], self.n[i]
             if not low[0, i] + 2 * n <= rest <= high[0, i] - 2 * n:
                 raise ValueError(
-                    f"limits[{name!r}] = {self._in_words(name)} leave no room where trials begin, "
-                    f"at the reference's {rest:.6g}" + (f", with noise {n:.6g}" if n else "")
+                    f"limits[{name!r}] = {self._in_words(name)} leave no room at the start of "
+                    f"a trial, where the reference is {rest:.6g}"
+                    + (f", and the noise is {n:.6g}" if n else "")
                 )
 
     def distance(self, y) -> np.ndarray:
@@ -191,17 +192,20 @@ class OutputLimits:
         if region.exact:
             some = "the model" if len(region.models) == 1 else "each of the models"
             lines.append(
-                f"This holds for {some} only, of which nothing says how wrong it is: pass "
+                f"This holds for {some} only, and the error of the model is unknown: pass "
                 "`uncertainty` to synthesise, or a measured P"
             )
         else:
-            sure = ", which is there with a probability of 99 %" if region.estimated else ""
+            sure = (
+                ", and the plant lies there with a probability of 99 %" if region.estimated else ""
+            )
             lines.append(f"This holds for every stable linear plant within the radius{sure}")
         lines[-1] += (
-            "; if trials start alike, disturbances repeat and no command is cut off. "
+            ". Conditions: trials start alike, disturbances repeat, and no actuator "
+            "saturates. "
             + "; ".join(
-                f"n = {self.noise.get(name, 0):.6g} bounds what does not repeat in {name} in each "
-                "sample, noise included"
+                f"n = {self.noise.get(name, 0):.6g} bounds the non-repeating part of {name} in "
+                "each sample, including noise"
                 for name in self.limits
             )
         )
@@ -216,8 +220,8 @@ class OutputLimits:
             f"{side} {_number(end)}" + (f" {sign} 2 n" if n else "") for side, end, sign in stated
         )
         return (
-            f"{name}, as measured, stays {stays} in every trial that follows one in which it was "
-            f"measured {was}"
+            f"The measured {name} stays {stays} in every trial that follows a trial in which "
+            f"it was measured {was}"
         )
 
     def __repr__(self):
@@ -225,21 +229,26 @@ class OutputLimits:
 
 
 def _number(end):
-    return "its limit of each sample" if np.ndim(end) else f"{end:.6g}"
+    return "its limit at each sample" if np.ndim(end) else f"{end:.6g}"
 
 
 def _limit(name: str, ends) -> Limit:
     """Check the lowest and the highest of an output; None stands for no limit."""
     if not (isinstance(ends, list | tuple | np.ndarray) and len(ends) == 2):
-        raise ValueError(f"{name} = {reprlib.repr(ends)} must be a lowest and a highest value")
+        raise ValueError(f"{name} = {reprlib.repr(ends)} must be two values, the lower limit first")
     low, high = (
         infinite if end is None else _end(name, end)
         for end, infinite in zip(ends, (-np.inf, np.inf), strict=True)
     )
     if np.ndim(low) and np.ndim(high) and len(low) != len(high):
-        raise ValueError(f"{name} has {len(low)} samples below, but {len(high)} above")
+        raise ValueError(
+            f"{name} must have as many samples for the lower limit as for the "
+            f"upper one, but has {len(low)} and {len(high)}"
+        )
     if not np.all(low < high):
-        raise ValueError(f"{name} = {reprlib.repr(ends)} must be a lower and a higher value")
+        raise ValueError(
+            f"{name} = {reprlib.repr(ends)} must have a lower limit that is below the upper one"
+        )
     return low, high
 
 
@@ -247,5 +256,7 @@ def _end(name, end):
     """Check one end of limits: a number, or one number for each sample."""
     end = np.asarray(end, dtype=float) if np.ndim(end) < 2 else end
     if np.ndim(end) > 1 or np.isnan(end).any():
-        raise ValueError(f"{name} must hold None, a number or one for each sample, (time,)")
+        raise ValueError(
+            f"{name} must hold None, a number, or one number for each sample, shape (time,)"
+        )
     return end if end.ndim else float(end)

@@ -44,8 +44,9 @@ class PlantRegion:
             models, radii = response.models, np.tile(response.radii, (len(response.models), 1))
         elif model is None or len(response.models) > 1:
             raise ValueError(
-                "model = None, but P is known by samples, and limits of outputs need a model in "
-                "time of one plant: pass one, such as loop.P, or P.model() of a measured P"
+                "model = None, but P is known by samples only, and limits of outputs need a "
+                "model in the time domain, of one plant: pass a model, such as loop.P, or "
+                "P.model() of a measured P"
             )
         else:
             check_match(model=model, P=response.signals)

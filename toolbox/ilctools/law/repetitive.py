@@ -72,20 +72,23 @@ def check_period(law: Law, period: int) -> None:
     if law.L is None:
         return
     if law.rest:
-        raise ValueError(f"rest = {law.rest}, but without reset trials have no end: take rest=0")
+        raise ValueError(
+            f"rest = {law.rest}, but without reset a trial has no end at which v "
+            "could rest: take rest=0"
+        )
     if isinstance(law.L, Composition):
         reach = (period - len(_cut(law.Q, NEGLIGIBLE_OF_M)) // 2) // 2
         raise ValueError(
-            "L has the base of a model, which acts on trials with ends: for trials without reset "
-            f"synthesise with reach, {reach} samples or fewer, or with base=None"
+            "L = B K has a B that is made for trials with ends: for trials without reset, "
+            f"synthesise with reach={reach} or less, or with base=None"
         )
     arguments.instance("L", law.L, LearningFilter)
     shortest = reach_ahead(law) + 1
     if period < shortest:
         raise ValueError(
-            f"reference has {period} samples a trial, but without reset needs {shortest} or more, "
-            "by which Q and L look ahead: take a longer period, several of them as one, a higher "
-            "cut-off of Q or a lower order"
+            f"reference has {period} samples per trial, but without reset it needs {shortest} "
+            "or more, because Q and L look ahead by so many samples: take a longer period, or "
+            "several periods as one trial, a higher cut-off of Q, or a lower order"
         )
 
 

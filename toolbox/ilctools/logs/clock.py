@@ -46,8 +46,9 @@ def check_start(start: float, second: float) -> None:
     """
     if abs(start) > LATEST_START:
         raise LogError(
-            f"time: the clock begins at {start / second:.13g}, or {start:.3g} s; state its unit, "
-            "as units={'time': 'ms'} if it counts ms since 1970, or subtract its first entry"
+            f"time: the clock begins at {start / second:.13g}, or {start:.3g} s, which is too "
+            f"late for a clock in s: state its unit, as units={{'time': 'ms'}} if it counts ms "
+            "since 1970, or subtract its first entry"
         )
 
 
@@ -57,17 +58,19 @@ def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
     starts = trial.diff() != 0
     _refuse(
         trial[starts & trial.duplicated() | ~trial.between(1, 2**31) | (trial % 1 != 0)],
-        "trial: {value:g} in row {row} must be a whole number, 1 or more; its rows stand together",
+        "trial: {value:g} in row {row} must be a whole number, 1 or more, and the rows of a "
+        "trial must follow each other",
     )
     _refuse(
         table["time"][starts & (table["time"].abs() > JITTER * Ts)],
-        "time: {value:.9g} in row {row}, where a trial begins, must be 0",
+        "time: {value:.9g} in row {row} must be 0, because a trial begins in this row",
     )
     _refuse(
         steps[(steps - Ts).abs() > JITTER * Ts],
-        f"time: row {{row}} is {{value:.6g}} s after the row before, where Ts = {Ts:.6g} s "
-        f"({{count}} of {len(steps)} steps differ): is Ts right, and the clock in s? Sort the "
-        "rows, remove copies, give each trial a number, interpolate what is lost or late",
+        f"time: row {{row}} is {{value:.6g}} s after the row before, but Ts = {Ts:.6g} s "
+        f"({{count}} of {len(steps)} steps differ): is Ts right, and is the clock in s? For "
+        "another unit, pass read_table(..., units={{'time': 'min'}}). Sort the rows, remove "
+        "copies, give each trial its own number, and interpolate samples that are lost or late",
     )
     lengths = trial.value_counts(sort=False)
     if lengths.nunique() > 1:
@@ -79,13 +82,14 @@ def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
     slack = DRIFT + JITTER * starts.sum() / max(len(steps), 1)
     if abs(steps.mean() - Ts) > slack * Ts:
         raise LogError(
-            f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts"
+            f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state the mean "
+            "step as Ts"
         )
     if steps.empty or (steps - Ts).abs().max() <= NOTED_JITTER * Ts:
         return {}
     return {
-        "clock": f"steps from {steps.min():.4g} to {steps.max():.4g} s, median "
-        f"{steps.median():.4g}, where Ts = {Ts:.6g}; no sample is lost"
+        "clock": f"the steps are from {steps.min():.4g} to {steps.max():.4g} s, with median "
+        f"{steps.median():.4g} s, where Ts = {Ts:.6g} s; no sample is lost"
     }
 
 

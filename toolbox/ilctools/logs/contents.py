@@ -13,7 +13,8 @@ def text_in(encoding: str, remedy: str) -> Iterator[None]:
         yield
     except (UnicodeError, LookupError) as error:  # LookupError: the encoding is unknown
         raise LogError(
-            f"it is not {encoding.upper()} ({error}): {remedy}. Of a workbook (.xlsx, .xls, .ods) "
-            "export the sheet as CSV, or pass read_table the DataFrame that pandas.read_excel "
-            "makes of it; unpack what is compressed"
+            f"it is not {encoding.upper()} ({error}): {remedy}. From a workbook (.xlsx, .xls, "
+            ".ods), export the sheet as CSV, or pass read_table the DataFrame of "
+            "pandas.read_excel. Read a MATLAB file (.mat) by scipy.io.loadmat, and pass a "
+            "DataFrame of its arrays. If the file is compressed, unpack it"
         ) from None

@@ -86,7 +86,7 @@ def write_log(trials: xr.Dataset, path) -> None:
     }
     columns = columns_of(signals, trials)
     if missing := columns.keys() - {*trials}:
-        raise ValueError(f"trials lack {sorted(missing)}")
+        raise ValueError(f"trials lack the signals {sorted(missing)}")
     numbers, times = _numbers_and_times(trials)
     trials = trials.transpose("trial", "time", ...)
     values = {
@@ -127,8 +127,9 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     needed = {"y", "trial", "time", *needed, *roles, *(f"{role}_unit" for role in roles)}
     if missing := sorted(needed - {*trials.variables}):
         raise ValueError(
-            f"trials lack {missing}, which run_trials, record and load_log give; read_table those "
-            "whose columns are named, as by reference and v"
+            f"trials lack {missing}, which the results of run_trials, record and load_log "
+            "contain: pass such trials, or call read_table with the columns of reference and "
+            "v"
         )
     signals = {}
     for role in roles:
@@ -146,15 +147,19 @@ def check_signals(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
         for name, unit in arguments.instance(role, names, dict).items():
             if not (name and name.isprintable() and isinstance(unit, str) and unit.isprintable()):
                 raise ValueError(
-                    f"unit of {few(name)} = {few(unit)} must be text, as its name, all printable"
+                    f"unit of {few(name)} = {few(unit)} must be text, and so must the name; "
+                    "both must be printable"
                 )
             if units.setdefault(name, unit) != unit:
-                raise ValueError(f"{name!r} has two units, {units[name]!r} and {unit!r}")
+                raise ValueError(
+                    f"{name!r} has two units, {units[name]!r} and {unit!r}: state one of them"
+                )
     outputs, controls = (signals.get(role, ()) for role in ("outputs", "controls"))
     if not outputs or ("controls" in signals and len(controls) != len(outputs)):
         raise ValueError(
-            f"outputs are {few([*outputs])} and controls {few([*controls])}, but must be as many, "
-            "one or more, or controls none: other inputs are disturbances, other outputs measured"
+            f"outputs are {few([*outputs])} and controls are {few([*controls])}, but there "
+            "must be as many controls as outputs, one or more, or no controls: name other "
+            "inputs as disturbances, and other outputs as measured"
         )
     return units
 
@@ -184,7 +189,7 @@ def _free_metadata(attributes):
         if key == "Ts":
             continue
         if key in RESERVED_KEYS or not re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", str(key)):
-            raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
+            raise ValueError(f"attribute {key!r} cannot be a line of the log: rename the attribute")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         default = lambda part: np.asarray(part).tolist()  # noqa: E731
         metadata[key] = value if line else json.dumps(value, default=default)
@@ -197,6 +202,7 @@ def _numbers_and_times(trials):
     times = trials.time.values.astype(float)
     if len(set(numbers)) < len(numbers) or not trials.y.size or times[0] != 0:
         raise ValueError(
-            f"trials.trial = {few(numbers)} must differ, trials.time must be 0, Ts, 2 Ts, ..."
+            f"trials.trial = {few(numbers)} must be different numbers, and trials.time must be "
+            "0, Ts, 2 Ts, ..."
         )
     return numbers, times

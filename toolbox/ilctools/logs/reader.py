@@ -81,15 +81,17 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
     with about(path):
         # a complete line ends with a line feed
         file = regular(path)
-        remedy = "a program that opened the log may have saved it anew. Save it as UTF-8"
+        remedy = (
+            "a program that opened the log may have saved it in another encoding. Save it as UTF-8"
+        )
         with text_in("utf-8", remedy):
             *lines, torn = file.read_text(encoding="utf-8-sig").split("\n")
         metadata = _metadata(lines)
         if metadata.get("format") not in LOG_FORMATS:
             raise LogError(
                 f"metadata: format is {few(metadata.get('format'))}, but must be one of "
-                f"{LOG_FORMATS}: ilctools.read_table reads other tables, of which save_log makes "
-                "logs, and ilctools.load_law laws"
+                f"{LOG_FORMATS}. Read other tables by ilctools.read_table, and save the result "
+                "by save_log to make a log. Read laws by ilctools.load_law"
             )
         Ts, second = _period(metadata)
         with reading("signals"):
@@ -99,16 +101,16 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
         entries = pd.read_csv(text, comment="#", dtype=str, keep_default_na=False, **OPTIONS)
         check_titles([*entries], signals)
         if entries.empty:
-            raise LogError("there are no rows below the titles")
+            raise LogError("there are no rows below the column titles")
         table = entries.apply(numbers_in)
         table["time"] *= second
         number = table["trial"]
         counts = number.value_counts(sort=False)
         if counts.iloc[-1] < counts.iloc[0]:
-            warn(f"{path}: the last trial is shorter than the first, and left out")
+            warn(f"{path}: the last trial is shorter than the first, and was left out")
             table = table[number != counts.index[-1]]
         elif torn.strip() and not ended:
-            warn(f"{path}: the last line has no line feed, and is left out")
+            warn(f"{path}: the last line does not end with a line feed, and was left out")
         notes = {key: value for key, value in metadata.items() if key not in RESERVED_KEYS}
         trials = trials_of(table, signals, Ts, notes)
         return trials if ASKED not in metadata else _with_points_from(metadata[ASKED], trials)
@@ -141,7 +143,7 @@ def _metadata(lines):
     for line in takewhile(lambda line: line.startswith("#") or not line.strip(), lines):
         key, mark, value = map(str.strip, line[1:].partition(":"))
         if key in metadata:
-            raise LogError(f"metadata: {key!r} stands twice")
+            raise LogError(f"metadata: {key!r} appears twice")
         if mark and key:
             metadata[key] = value
     return metadata
@@ -153,7 +155,7 @@ def _period(metadata):
     value, *unit = note.split() or [note]
     if len(unit) != 1:
         raise LogError(
-            f"metadata: Ts is {few(note)}, but must be a number and a unit, as '# Ts: 0.5 s'"
+            f"metadata: Ts is {few(note)}, but must be a number with a unit, as in '# Ts: 0.5 s'"
         )
     with reading("Ts"):
         second = seconds(*unit)
@@ -174,10 +176,14 @@ def numbers_in(column: pd.Series) -> pd.Series:
     numbers = column.map(value_of).astype(float)
     wrong = column[~np.isfinite(numbers)]
     if len(wrong):
+        first = wrong.iloc[0]
+        remedy = "If the file has decimal commas or dates, read it by read_table, which has "
+        remedy += "options for them"
+        if pd.isna(first) or not str(first).strip():
+            remedy = "The entry is missing: interpolate it, or leave its trial out"
         raise LogError(
-            f"{column.name}: entry {str(wrong.iloc[0])[:40]!r} in row {wrong.index[0]} must be a "
-            f"finite number ({len(wrong)} such entries); a decimal comma and dates are options "
-            "of read_table"
+            f"{column.name}: entry {str(first)[:40]!r} in row {wrong.index[0]} must be "
+            f"a finite number (number of such entries: {len(wrong)}). {remedy}"
         )
     return numbers
 
@@ -188,9 +194,9 @@ def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]
     titles = ["trial", "time", *chain(*columns.values())]
     if sorted(header) != sorted(titles):
         raise LogError(
-            f"columns must be {few(titles)}, each once, but missing are "
-            f"{few([title for title in titles if title not in header])} and unknown "
-            f"{few([title for title in header if title not in titles])}"
+            f"columns must be {few(titles)}, each once, but "
+            f"{few([title for title in titles if title not in header])} are missing, and "
+            f"{few([title for title in header if title not in titles])} are unknown"
         )
     return columns
 

@@ -216,9 +216,9 @@ class Replay:
     def agreement(self) -> str:
         """A sentence on whether the recorded v agrees with the law."""
         if self.law is None:
-            return "the log does not name its law, by Q and L, and with limits the loop"
+            return "the log does not name its law (Q and L, and with limits also the loop)"
         if not self.resets:
-            return "of trials without reset, the recorded v is not checked"
+            return "the recorded v is not checked, because the trials have no reset between them"
         departure = self.departure
         rounding = DIGITS * np.maximum.accumulate(np.abs(self.trials.v.values).max(axis=1))
         different = (departure > rounding).stack()
@@ -227,10 +227,16 @@ class Replay:
             units = self.trials["input_unit" if "input" in self.trials.coords else "output_unit"]
             unit = units.values[self.inputs.index(name)]
             amount = f"{departure.loc[number, name]:.1e} {unit}".strip()
-            return f"v departs from the law from trial {number} on, by {amount} in {name}"
+            return (
+                f"the recorded v differs from the law from trial {number} on, by {amount} in {name}"
+            )
         unchecked = departure.index[departure.isna().all(axis=1)].tolist()
-        where = f"but in {unchecked}, without a trial before" if unchecked else "in every trial"
-        return f"the recorded v is that of the law {where}"
+        where = (
+            f"except in trials {unchecked}, which have no trial before them"
+            if unchecked
+            else "in every trial"
+        )
+        return f"the recorded v agrees with the law {where}"
 
     @property
     def omissions(self) -> list[str]:
@@ -238,16 +244,16 @@ class Replay:
         reasons = []
         if self.simulated is None:
             reasons.append(
-                "simulation: it needs the law, a loop whose P the log knows, and all trials from 1 "
-                f"on; there are {self.numbers}"
+                "simulation: it needs the law, a loop whose P is in the log, and all trials "
+                f"from 1 on; the log has trials {self.numbers}"
             )
         if self.predicted is None:
             reasons.append(
-                "prediction: it needs a loop whose model is stable without feedback, and u"
+                "prediction: it needs u, and a loop whose model is stable without feedback"
             )
         recorded = np.ravel(self.trials.coords.get("source", [])).tolist()
         if ignored := sorted({*recorded} - {*getattr(self.loop, "disturbances", recorded)}):
-            reasons.append(f"disturbances {ignored}: the simulation ignores them")
+            reasons.append(f"disturbances {ignored}: the simulation does not include them")
         return reasons
 
     def __repr__(self):
@@ -258,11 +264,15 @@ class Replay:
             f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
         ]
         if self.kept is not None:
-            lines.append(f"limits of outputs:\n{self.kept.to_string(float_format='{:.3g}'.format)}")
+            table = self.kept.to_string(float_format="{:.3g}".format)
+            lines.append(
+                "distance of the outputs from their limits, and alpha, the share of the law's own "
+                f"change of v that was applied:\n{table}"
+            )
         if self.fit is not None:
             mean = (100 * self.fit.mean()).round(1)
             fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
-            lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+            lines.append(f"fit of the prediction by the model, mean of all trials: {fits}")
         lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
 

@@ -1,7 +1,9 @@
 """Tables that other programs wrote: pandas reads them, and this module names their columns."""
 
 import re
+import warnings
 from collections.abc import Mapping
+from contextlib import contextmanager
 from itertools import chain
 
 import pandas as pd
@@ -147,10 +149,24 @@ def _frame_of(source, options):
     """Return the table that pandas reads, or has read, and a note on its origin."""
     if isinstance(source, pd.DataFrame):
         return pd.DataFrame(source, **options), {}
-    remedy = "pass read_table(..., encoding='cp1252'), or what else it is in, such as 'utf-16'"
-    with text_in(options.get("encoding") or "utf-8", remedy):
+    remedy = "pass the encoding of the file to read_table, such as encoding='cp1252' or 'utf-16'"
+    with text_in(options.get("encoding") or "utf-8", remedy), _no_lost_columns():
         frame = pd.read_csv(regular(source), **OPTIONS | options)
     return frame, {"origin": f"read from {source.name}"}
+
+
+@contextmanager
+def _no_lost_columns():
+    """Refuse rows that are longer than the titles: pandas only warns, and drops their ends."""
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", "Length of header", pd.errors.ParserWarning)
+            yield
+    except pd.errors.ParserWarning:
+        raise LogError(
+            "the rows have more entries than there are titles. If the comma is both the separator "
+            "and the decimal mark, export the table with semicolons, and pass sep=';', decimal=','"
+        ) from None
 
 
 def _signals(frame, asked, units):
@@ -164,7 +180,10 @@ def _signals(frame, asked, units):
             table[f"{signal}_{name}"] = numbers_in(column)
             known = names.setdefault(name, units.get(name, unit))
             if known and unit and known != unit and name not in units:
-                raise LogError(f"{argument}[{name!r}] is in {unit}, {name} in {known}: state units")
+                raise LogError(
+                    f"{argument}[{name!r}] is in {unit}, but {name} is in {known}: "
+                    "state the units by `units`"
+                )
     if "reference" in asked and "v" not in asked:
         table[[f"v_{name}" for name in signals["outputs"]]] = 0.0
     check_signals(signals)
@@ -181,7 +200,8 @@ def _column(frame, argument, column):
             return frame.iloc[:, place], parts[place][1]
     raise LogError(
         f"{argument} = {column!r} must be the title of one column, or a number from 0 to "
-        f"{len(titles) - 1}; the titles are {few(titles)}: else give sep or skiprows"
+        f"{len(titles) - 1}. The titles are {few(titles)}: if they are wrong, give sep or "
+        "skiprows"
     )
 
 

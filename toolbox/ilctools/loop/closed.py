@@ -204,7 +204,9 @@ class CurrentTrialLoop:
         try:
             return v + (applied - u) @ np.linalg.inv(self.N).T
         except np.linalg.LinAlgError:
-            raise ValueError("loop.N is singular: w does not follow from its commands") from None
+            raise ValueError(
+                "loop.N is singular, so that w cannot be computed from the commands of the loop"
+            ) from None
 
     @property
     def P(self) -> control.StateSpace:
@@ -373,10 +375,12 @@ class ClosedLoop:
         controls = arguments.different("controls", self.controls)
         disturbances = arguments.different("disturbances", self.disturbances)
         if not outputs or (P is not None and P.noutputs != len(outputs)):
-            raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
+            raise ValueError(
+                f"outputs = {outputs!r} must be the names of the outputs of P, one for each"
+            )
         references, learned = self._channels(P, outputs)
         if controls and len(controls) != len(outputs):
-            raise ValueError(f"controls = {controls!r} must be one for each output, or none")
+            raise ValueError(f"controls = {controls!r} must be one name for each output, or none")
         if P is not None:
             check_match(P=P, loop=Signals(Ts, labels=outputs))
         vars(self).update(P=P, references=references, learned=learned, outputs=outputs)
@@ -402,9 +406,10 @@ class ClosedLoop:
             inputs = [*dict.fromkeys([*references, *learned])]
         if (references is None or learned is None) and len(inputs) != len(outputs):
             raise ValueError(
-                f"P has the inputs {inputs} and the outputs {outputs}, and not as many: say whose "
-                "reference each input takes, references={input: output}, with {} for none, and "
-                "which of them are learned, learned=[inputs]"
+                f"P has the inputs {inputs} and the outputs {outputs}, which are not equally "
+                "many: state which reference each input takes, by "
+                f"references={{input: output}}, with {{}} for none, and which inputs are "
+                "learned, by learned=[inputs]"
             )
         if references is None:
             references = dict(zip(inputs, outputs, strict=True))
@@ -413,7 +418,7 @@ class ClosedLoop:
         for name, output in references.items():
             if output not in outputs:
                 raise ValueError(
-                    f"references[{name!r}] = {output!r} is none of the outputs, {outputs}"
+                    f"references[{name!r}] = {output!r} must be one of the outputs, {outputs}"
                 )
         learned = arguments.different("learned", inputs if learned is None else learned)
         unknown = [name for name in learned if name not in inputs]
@@ -422,8 +427,8 @@ class ClosedLoop:
         idle = [name for name in inputs if name not in learned and name not in references]
         if idle:
             raise ValueError(
-                f"the inputs {idle} of P take neither a reference nor a learned signal: name them "
-                f"in references or in learned, or leave them out, as P[:, {learned}]"
+                f"the inputs {idle} of P take neither a reference nor a learned signal: name "
+                f"them in references or in learned, or leave them out, as P[:, {learned}]"
             )
         return references, learned
 
@@ -487,15 +492,18 @@ class ClosedLoop:
     def model(self, plant=None) -> control.StateSpace:
         """Return P, or `plant` in its place, which is another model from w to y."""
         if plant is None and self.P is None:
-            raise ValueError("loop has no P: it can be run and shaken, but not simulated")
+            raise ValueError(
+                "loop has no P: it can be run and excited, but not simulated. "
+                "Give ClosedLoop a model P"
+            )
         P = self.P if plant is None else _stable_model("plant", plant)
         labels = [*self.outputs, *self.inputs]
         check_match(loop=Signals(self.Ts, labels=labels), plant=P)
         sizes = len(self.outputs), len(self.inputs)
         if P.shape != sizes:
             raise ValueError(
-                f"plant has {P.shape[0]} outputs and {P.shape[1]} inputs, but the loop {sizes[0]} "
-                f"and {sizes[1]}"
+                f"plant has {P.shape[0]} outputs and {P.shape[1]} inputs, but the loop has "
+                f"{sizes[0]} and {sizes[1]}"
             )
         return P
 
@@ -564,7 +572,7 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     signals = [*plant.input_labels, *plant.output_labels]
     missing = [n for n in [*loop.controls, *loop.outputs] if n not in signals]
     if missing:
-        raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
+        raise ValueError(f"plant has the signals {signals}, but the loop also needs {missing}")
     ours, plant = loop.plant.input_labels, plant[loop.outputs, :]
     picked = np.array([[a == b for b in ours] for a in plant.input_labels])
     B, D = plant.B @ picked, plant.D @ picked
@@ -573,7 +581,7 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     worst = poles[np.abs(poles).argmax()]
     if abs(worst) > arguments.CIRCLE:
         raise ValueError(
-            f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
+            f"plant makes the loop unstable: a pole is at z = {worst:.6g}, of modulus "
             f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "
             "Rs or Ro"
         )

@@ -95,16 +95,19 @@ def _checked(plant, controls):
     plant = controls_first(plant, controls)
     if len(controls) != m:
         raise ValueError(
-            f"controls = {[*controls]} are {len(controls)} inputs for {m} outputs: name one for "
-            f"each of {plant.output_labels} among {names}; the others are disturbances. With "
-            "more outputs, close the loop on some of them, and learn from all by a ClosedLoop"
+            f"controls = {[*controls]} are {len(controls)} inputs, but the plant has {m} "
+            f"outputs: name one of the inputs {names} for each of the outputs "
+            f"{plant.output_labels}; the other inputs are disturbances. With more outputs than "
+            "controls, close the loop on some outputs, and learn from all by a ClosedLoop"
         )
     if not plant.nstates:
-        raise ValueError("plant has no states: (12) needs at least one")
+        raise ValueError(
+            "plant has no states, but (12) needs at least one: add a delay of one sample"
+        )
     if np.any(plant.D[:, :m]):
         raise ValueError(
-            f"plant.D must be zero for the controls {plant.input_labels[:m]}: (12) has no direct "
-            "feedthrough. Delay them by a sample"
+            f"plant.D must be zero for the controls {plant.input_labels[:m]}, because (12) has "
+            "no direct feedthrough: delay the controls by a sample"
         )
     return plant
 
@@ -168,9 +171,9 @@ def _gain(A, B, Q, R, weights):
     # LinAlgError is a ValueError, and not the only one
     except (ValueError, LinAlgWarning):
         raise ValueError(
-            f"{weights} leave the Riccati equation of this plant without a stable solution: an "
-            "unstable mode is out of reach of the controls, or not seen in the outputs; or the "
-            "plant has a zero at z = 1, so that some constant input leaves no trace in them; or a "
-            "weight is zero or too far from the other, where `sizes`, what counts as large, may "
-            "help"
+            f"{weights} leave the Riccati equation of this plant without a stabilising "
+            "solution. Either the controls cannot reach an unstable mode, or the outputs do "
+            "not show it; or the plant has a zero at z = 1, so that a constant input has no "
+            "effect on the outputs; or a weight is zero, or too different from the other one. "
+            "For the last case, pass `sizes`, the amounts that count as large"
         ) from None

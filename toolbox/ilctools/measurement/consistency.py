@@ -58,8 +58,9 @@ EXPLAINED = 1e-9  # relative: what others do not explain of a column, if it is o
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
-    "u follows y, as in a loop whose reference is not in the log, or the plant has a lead: what is "
-    "estimated may be -1/C of a controller. Add the reference (u itself, if nothing is fed back)"
+    "u follows y, as in a loop whose reference is not in the log, or the plant responds "
+    "before its input. The estimate may be -1/C of a controller C: add the reference (if "
+    "nothing is fed back, the reference is u itself)"
 )
 
 

@@ -44,8 +44,9 @@ from ilctools.response.measured import CONFIDENCE
 from ilctools.singular_values import largest_singular_values
 
 CONTRADICTED = (
-    "{reason}. P is taken at the lines alone, as splines connect them: it may be off between them, "
-    "as behind a long delay or of a narrow resonance. Record longer periods, or more lines"
+    "{reason}. Therefore P is taken from the excited frequencies (lines) alone, and from "
+    "splines between them. P may be wrong between the lines, as it is behind a long delay or "
+    "at a narrow resonance. Record longer periods, or more lines"
 )
 GATE = 0.99  # probability that noise alone does not pass for something that is not linear
 TAIL = 2e-4  # probability of the tail at which v is as uncertain as delta^2
@@ -73,7 +74,9 @@ def combined(
     if np.any(off > both):
         worst = of_lines.omega[np.argmax(off / both)]
         return _at_lines(
-            of_lines, f"at {worst:.3g} rad/s a linear model contradicts what the lines show"
+            of_lines,
+            f"at {worst:.3g} rad/s, a linear model contradicts the response at the "
+            "excited frequencies",
         )
     findings = (*of_lines.findings, *estimate.findings)
     return replace(estimate, lines=of_lines, findings=findings)

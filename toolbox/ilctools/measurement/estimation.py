@@ -65,7 +65,7 @@ UNSTABLE = 0.77
 # constant of a sixth of the record grows by 1.6. P at rest must be SURE_OF_REST times its radius
 # for a lag to be certain. Both numbers were found by counting.
 RISE, SURE_OF_REST = 1.95, 3.0
-LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
+LOOP = "learning presupposes a stable plant: record for longer, or in a closed loop"
 
 
 class Agreement(NamedTuple):
@@ -147,14 +147,18 @@ class EstimatedResponse(Measured):
                 grows = fit.grows_at / self.loop.Ts
                 where = f"at about {grows:.2g} rad/s"
                 if grows < lowest:
-                    where = f"more slowly than at {lowest:.2g} rad/s, which a record just resolves"
+                    where = (
+                        f"more slowly than at {lowest:.2g} rad/s, the lowest frequency "
+                        "that the record resolves"
+                    )
                 raise LogError(f"{name} does not settle, but grows {where}: {LOOP}")
             if not fit.stable or shares[i] >= 1:
-                yield f"{name} may not settle, or is disturbed in cycles: {LOOP}"
+                yield f"{name} may not settle, or a periodic disturbance acts on it: {LOOP}"
             elif rising[i] and not self.apart:
                 yield (
-                    f"{name} may not settle, as P rises like that of an integrator down to "
-                    f"{lowest:.2g} rad/s, the lowest frequency that a record resolves: {LOOP}"
+                    f"{name} may not settle, because P rises like an integrator down to "
+                    f"{lowest:.2g} rad/s, the lowest frequency that the record resolves: "
+                    f"{LOOP}"
                 )
 
     def _rises(self):
@@ -228,8 +232,8 @@ class EstimatedResponse(Measured):
         if n < len(orders):
             return of_order(n)
         raise LogError(
-            f"P has no model of up to {n - 1} states that is near enough: take its frequency "
-            "response, frd(), or move the input less at high frequencies"
+            f"no model of up to {n - 1} states is near enough to P: take its frequency "
+            "response, by frd(), or move the input less at high frequencies"
         )
 
     def check(self, log: xr.Dataset) -> Agreement:
@@ -256,44 +260,46 @@ class EstimatedResponse(Measured):
 
     def _basis(self, omega, confidence):
         lines = [
-            f"P estimated from {self.record}; the truth is within the radius with confidence "
-            f"{confidence:g}",
+            f"P is estimated from {self.record}; the true P is within the radius with "
+            f"confidence {confidence:g}",
             Assumed(
-                "the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-                f"{self.fits[0].data.layout.lags} lags, those of B after a delay and beside two "
-                "slow parts"
+                "the plant is linear and constant, and A(z) y = B(z) u describes it, with "
+                f"{self.fits[0].data.layout.lags} past samples in A and, after a delay, in B, "
+                "and with two slow parts"
             ),
         ]
         if not self.known.all():
             low, high = self.omega[self.known][[0, -1]]
             lines.append(
-                f"P is identified from {low:.3g} to {high:.3g} rad/s, at {self.known.mean():.0%}; "
-                "else the input had too little power, and what was assumed makes the radius"
+                f"P is identified from {low:.3g} to {high:.3g} rad/s, at "
+                f"{self.known.mean():.0%} of the frequencies; elsewhere the input had too "
+                "little power, and the radius follows from the assumptions"
             )
         if self.lines is not None and omega[0] < (lowest := self.lines.omega[0]):
             text = (
-                f"below {lowest:.4g} rad/s, the lowest line of the excitation, P is what the "
-                "regression makes of the rest: a lower `lowest` would show it"
+                f"below {lowest:.4g} rad/s, the lowest excited frequency, P is extrapolated by "
+                "the regression: an excitation with a lower `lowest` would measure P there"
             )
             lines.append(Assumed(text))
         if not self.linear:
             text = (
-                "signals are as large as the excitation: smaller ones may see another gain. Shake "
-                "with a second amplitude, and compare by P.check(log)"
+                "the signals are as large as in the excitation, because the gain may differ "
+                "for smaller ones: shake the loop with a second amplitude, and compare by "
+                "P.check(log)"
             )
             lines.append(Assumed(text))
         first = self.omega[self.resolved][0]
         if self.omega[self.known][0] < first <= omega[0] * (1 + SAME_FREQUENCY):
             text = (
-                f"below {first:.3g} rad/s, of which no period fits into a record, P need not be "
-                "known for the cut-off and the filter"
+                f"below {first:.3g} rad/s, where no period fits into a record, the cut-off and "
+                "the filter need no knowledge of P"
             )
             lines.append(Assumed(text))
         return lines
 
     def __repr__(self):
         radius = self.radius()[self.known]
-        within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
+        within = f"the radius is {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
         lines = [super().__repr__(), within]
         if self.lines is not None:
             lines.append(self.lines.deviations + ("" if self.linear else self.lines.advice))
@@ -326,9 +332,12 @@ def estimated_response(
         known = f", or as {', '.join(record.disturbances)} did" if record.disturbances else ""
         raise LogError(
             "; ".join(contradictory)
-            or f"P is identified at no frequency: the response to {', '.join(record.inputs)} is "
-            f"below the noise, or they moved alike{known}. Record longer, or move them more, each "
-            "by itself"
+            or (
+                "P is identified at no frequency, because the response to "
+                f"{', '.join(record.inputs)} is below the noise, or because they moved "
+                f"alike{known}: record for longer, or move the inputs more, each of them "
+                "independently"
+            )
         )
     return replace(estimate, findings=findings)
 
@@ -358,6 +367,6 @@ def _in_words(name, said):
     """State the contradictions of one output as a finding, the largest first."""
     words = "; ".join(f"{one.words} (by {one.by:.0%} of P)" for one in said[:WORDS_AT_MOST])
     return (
-        f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
-        "leave such trials or times out, by isel, or move the input less"
+        f"{name} does not respond as in one linear plant: {words}. The radius is larger for "
+        "this reason: leave these trials or times out, by isel, or move the input less"
     )

@@ -77,9 +77,10 @@ class Excitation:
 
     def __repr__(self):
         return (
-            f"{len(self.phases)} realisations of {self.rows} experiments of 1 + {self.periods} "
-            f"periods of {self.period * self.Ts:.6g} s, {self.hours:.3g} h; {len(self.harmonics)} "
-            f"lines from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s"
+            f"{len(self.phases)} realisations of {self.rows} experiments, each with 1 + "
+            f"{self.periods} periods of {self.period * self.Ts:.6g} s, {self.hours:.3g} h in "
+            f"all; {len(self.harmonics)} excited frequencies (lines) from {self.omega[0]:.3g} "
+            f"to {self.omega[-1]:.3g} rad/s"
         )
 
 
@@ -175,8 +176,8 @@ def _divided(hours, cycle, realisations, lowest):
         needed = 3 * realisations * cycle
         raise ValueError(
             f"hours = {hours:g} is too short for 3 periods of the lowest frequency in "
-            f"{realisations} realisations of one experiment for each input: {needed:.4g} h are "
-            f"needed, or lowest = {lowest * needed / hours:.3g}"
+            f"{realisations} realisations of one experiment for each input: take hours = "
+            f"{needed:.4g}, or lowest = {lowest * needed / hours:.3g}"
         )
     return realisations, periods
 

@@ -163,10 +163,11 @@ class ExcitedResponse(Measured):
     def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]
         return (
-            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
-            f"all of them the truth is within the radius with confidence {confidence:g}",
+            f"P is measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} "
+            "rad/s; at all of them, the true P is within the radius with confidence "
+            f"{confidence:g}",
             *self._between(omega, confidence),
-            *[Assumed("P(0) = I")] * self.anchored,
+            *[Assumed("P(0) is the identity, because the loop integrates")] * self.anchored,
         )
 
     def __repr__(self):
@@ -174,7 +175,7 @@ class ExcitedResponse(Measured):
         lines = [
             f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
             f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
-            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
+            f"the radius is {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
             self.deviations + self.advice,
         ]
         return "\n".join([*lines, *self.findings])
@@ -183,8 +184,8 @@ class ExcitedResponse(Measured):
     def deviations(self) -> str:
         """How uncertain noise, and what is not linear, make P at the lines, in words."""
         return (
-            f"standard deviation up to {self.noise.max():.2g} by noise, and up to "
-            f"{self.distortion.max():.2g} by what is not linear or drifts"
+            f"the standard deviation is up to {self.noise.max():.2g} by noise, and up to "
+            f"{self.distortion.max():.2g} by nonlinearity or drift"
         )
 
     @property
@@ -216,8 +217,8 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
     findings = ()
     if beyond := commands_beyond(asked, loop.commands, limits):
         findings = (
-            f"{beyond}: what was measured is not the loop, and the radius does not contain that. "
-            "Shake with a smaller amplitude",
+            f"{beyond}: the measured response is not the response of the loop, and the radius "
+            "does not cover the difference. Shake the loop with a smaller amplitude",
         )
     return ExcitedResponse(excitation.omega, Y @ np.linalg.inv(W), loop, findings)  # (1)
 

@@ -129,25 +129,33 @@ def measured_response(
     asked = {name: value for name, value in asked.items() if value is not None}
     if isinstance(log, control.FrequencyResponseData):
         for name, value in asked.items():
-            raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
+            raise ValueError(
+                f"{name} = {reprlib.repr(value)} is for a record, but log is a "
+                f"table: leave {name} out"
+            )
         return _warned(tabulated(log, uncertainty))
     logs = log if isinstance(log, list | tuple) and log else [log]
     for one in logs:
         if not isinstance(one, xr.Dataset):
             raise ValueError(
-                f"log = {reprlib.repr(one)} must be a Dataset: load_log(path), or of a table "
-                "read_table(log, time=..., inputs={...}, outputs={...}); or a response, its "
-                "frequency last, as control.frd(log, omega, Ts)"
+                f"log = {reprlib.repr(one)} must be a Dataset, or a frequency response. Load a "
+                "log by load_log(path); read a table by read_table(log, time=..., "
+                f"inputs={{...}}, outputs={{...}}); pass a response as control.frd(log, omega, "
+                "Ts), its last axis the frequency"
             )
     if uncertainty is not None:
         raise ValueError(
-            "uncertainty must be None where log is a record, from which the radius is estimated"
+            "uncertainty must be None if log is a record, because the radius is estimated "
+            "from the record"
         )
     excitation = None if asked or logs is log else excitation_of(log)
     if excitation is None:
         measured = estimated_response(logs, **asked)
     elif (loop := loop_of(log)) is None:
-        raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
+        raise LogError(
+            "log names no loop in its metadata, so that it is not a log of shake: "
+            "state by `of` which signals are the inputs"
+        )
     else:
         asked, limits = np.asarray(loop.asked(log)), limits_of(log)
         lines = excited_response(*_signals(log, excitation), asked, limits, excitation, loop)
@@ -167,14 +175,17 @@ def _signals(log, excitation):
     shaken = excitation.signals
     if log.trial.values.tolist() != list(range(1, len(shaken) + 1)):
         raise LogError(
-            f"log has the experiments {few(log.trial.values.tolist())} of {len(shaken)}: go on "
-            "with shake and the same path"
+            f"log has the experiments {few(log.trial.values.tolist())} of {len(shaken)}: "
+            "continue by calling shake with the same path"
         )
     w = log.v if "input" in log.coords else log.reference + log.v
     w = arguments.array("log.v", w.values, shaken.shape)
     off = (np.abs(w - shaken) / excitation.amplitude).max()
     if off > ROUNDING_OF_W:
-        raise LogError(f"w is not the excitation: it is off by {off:.2g} of its amplitude")
+        raise LogError(
+            "w is not the excitation that the log names: it differs from it by "
+            f"{off:.2g} of its amplitude"
+        )
     y = arguments.array("log.y", log.y.values, (*shaken.shape[:2], "output"))
-    check_moved([y], log.output.values, "log.y", "is it connected?")
+    check_moved([y], log.output.values, "log.y", "is its sensor connected?")
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]

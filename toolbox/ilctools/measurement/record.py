@@ -67,9 +67,9 @@ class Record:
         inputs = loop.learned if source == "w" else logs[0].control.values.tolist()
         moves = [_moves(name, log, source) for name, log in named.items()]
         u, y, first = [one.u for one in moves], [one.y for one in moves], next(iter(named))
-        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+        remedy = "its effect is not known. Record it while it moves, by a step or by noise"
         check_moved(u, inputs, f"{first}.{source}", remedy)
-        check_moved(y, loop.outputs, f"{first}.y", "is it connected?")
+        check_moved(y, loop.outputs, f"{first}.y", "is its sensor connected?")
         delay = _samples_of(arguments.by_channel("delay", delay, inputs), len(inputs))
         disturbances, known = _known_disturbances(moves)
         sizes = Sizes(_sizes(u), _sizes(y))
@@ -91,11 +91,12 @@ class Record:
 
     def __str__(self):
         trials = sum(len(group.y) for group in self.groups)
-        known = f"the known {', '.join(self.disturbances)}, " if self.disturbances else ""
+        names = ", ".join(self.disturbances)
+        known = f"the known disturbances {names}, other " if names else ""
         return (
-            f"{trials} trials of up to {self.longest} samples, from {self.source} to y; assumed: y "
-            f"is moved by {self.source}, {known}what repeats in all trials of a length, noise, "
-            "drift only"
+            f"{trials} trials of up to {self.longest} samples, from {self.source} to y; "
+            f"assumed: y is moved only by {self.source}, {known}disturbances that repeat in "
+            "all trials of the same length, noise and drift"
         )
 
 
@@ -182,15 +183,20 @@ def _inputs(name, log, source):
     that take a reference alone are known disturbances.
     """
     if source == "w" and "reference" not in log:
-        raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
+        raise LogError(f"{name} has no reference, and therefore no w: take of = 'u'")
     if source == "u" and "u" not in log:
-        raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
+        raise LogError(
+            f"{name} has no commands u: take of = 'w', or name them in `inputs` of read_table"
+        )
     if source == "u":  # commands rest at their own first row
         u = log.get("applied", log.u).values
         return u, u, {}
     limits, loop, r = limits_of(log), loop_of(log), log.reference.values
     if loop is None and "input" in log.coords:
-        raise LogError(f"{name} has a v of inputs, but names no loop that says what else they take")
+        raise LogError(
+            f"{name} has a v of inputs, but names no loop, which would state what "
+            "else drives these inputs"
+        )
     v = log.v.values if "v" in log else 0 * r
     if limits and loop:  # the v that corresponds to the applied commands
         asked = np.asarray(loop.asked(log))

@@ -34,7 +34,7 @@ class TabulatedResponse(Measured):
 
     def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]
-        known = "with its radius" if self.uncertainty.any() else "as exact as its lines"
+        known = "with its radius" if self.uncertainty.any() else "taken as exact there"
         return (
             f"P from a table of {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s, "
             f"{known}",
@@ -47,8 +47,8 @@ def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> Tabulat
     omega = arguments.array("log.omega", table.omega, ("frequency",))
     if len(omega) < 4 or omega[0] <= 0 or np.any(np.diff(omega) <= 0):
         raise ValueError(
-            f"log.omega = {reprlib.repr(omega.tolist())} must be four positive increasing "
-            "frequencies, or more"
+            f"log.omega = {reprlib.repr(omega.tolist())} must be four or more positive "
+            "frequencies in increasing order"
         )
     shape = len(omega), "p", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)

@@ -80,7 +80,7 @@ def gain_of_base(cutoff, smallest, omega, Q, M_max) -> float:
     STATIC times the largest gain that inverts P up to SLOW times the cut-off. With the b of this
     limit, a share |Q| b^2 / (sigma^2 + b^2) of the error remains, where sigma is the smallest
     singular value. If this share exceeds REMAINS M_max at some frequency, b is reduced until the
-    share does not. `Q` (n,) is |Q| at omega.
+    share does not, but not below the b of the first bound. `Q` (n,) is |Q| at omega.
     """
     slow = smallest[omega <= max(SLOW * cutoff, omega[0])].min()
     above = smallest[omega >= SLOW * cutoff].max(initial=0)

@@ -42,12 +42,13 @@ def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
     samples = arguments.array("Q", samples, (len(omega),), complex)
     if (largest := np.abs(samples).max()) > RIPPLE:
         raise ValueError(
-            f"Q has a gain of {largest:.4g} at {omega[np.abs(samples).argmax()]:.4g} rad/s: pass a "
-            "low-pass filter whose gain is one at most, or v overshoots what cancels the error"
+            f"Q has a gain of {largest:.4g} at {omega[np.abs(samples).argmax()]:.4g} rad/s: "
+            "pass a low-pass filter whose gain is at most one, because v overshoots otherwise"
         )
     if np.abs(samples.imag).max() > IMAGINARY * np.abs(samples).max():
         raise ValueError(
-            f"Q turns the phase by up to {np.abs(np.angle(samples)).max():.2g} rad, as a filter "
-            "does that runs in one direction only: pass |Q|^2 of it, or zero_phase_butterworth"
+            f"Q shifts the phase by up to {np.abs(np.angle(samples)).max():.2g} rad, as a "
+            "filter does that runs in one direction only: pass the |Q|^2 of this filter, or "
+            "zero_phase_butterworth(order, cutoff, Ts)"
         )
     return Q if known else SampledQ(omega, samples.real)

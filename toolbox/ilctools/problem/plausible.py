@@ -88,9 +88,9 @@ def at_rest_in_words(response: Response) -> str:
     """
     model, omega = response.models[0], response.omega[0]
     if model is not None:
-        [P], where = frequency_response(model, [0.0]), "at rest"
+        [P], where = frequency_response(model, [0.0]), "at zero frequency"
     else:
-        P, where = response.P[0, 0], f"at {omega:.4g} rad/s" if omega > 0 else "at rest"
+        P, where = response.P[0, 0], f"at {omega:.4g} rad/s" if omega > 0 else "at zero frequency"
     if P.shape[0] != P.shape[1] or response.directions is not None:
         values = [f"{value:.3g}" for value in np.linalg.svd(P, compute_uv=False)]
         s = "s" if len(values) > 1 else ""

@@ -84,7 +84,8 @@ def _asked_structure(structure, response):
 def needs_square(what: str, p: int, m: int) -> ValueError:
     """Return the error if `what` needs as many inputs as outputs, but P has other numbers."""
     return ValueError(
-        f"{what} needs as many learned inputs as outputs, but P has {m} and {p}: leave it out"
+        f"{what} needs as many learned inputs as outputs, but P has {m} inputs and {p} "
+        "outputs: leave it out"
     )
 
 
@@ -113,15 +114,15 @@ def _base(response, lowpass, structure, share, L_max, reach, chosen):
         base = base_of_samples(response, lowpass, b, reach, len(models), structure)
     if base is None:
         raise ValueError(
-            f"base = {share} is too small for this plant, whose factors rounding decides: take a "
-            "larger one, or None"
+            f"base = {share} is too small for this plant, because rounding then decides the "
+            "factors of B: take a larger base, or None"
         )
-    kind = "with the ends of a trial"
+    kind = "for a trial with ends"
     if isinstance(base, LearningFilter):
-        kind = f"a finite filter of {-base.first} samples each way"
+        kind = f"a finite filter that reaches {-base.first} samples each way"
     of = "all plants" if len(models) > 1 else "the plant"
     product = "B K" if response.P.shape[-1] >= response.P.shape[-2] else "K B"
-    chosen.append(f"L = {product}, B of {of} with b = {b:.3g}, {why}, {kind}")
+    chosen.append(f"L = {product}, where B inverts {of} with b = {b:.3g}, which is {why}, {kind}")
     return base
 
 
@@ -135,16 +136,19 @@ def _order(response, cutoff, order, base, chosen):
     if order is None:
         delay = defaults.delay(response.P[0], response.omega, response.Ts, cutoff)
         order = defaults.order(cutoff, delay, response.Ts, n)
-        chosen.append(f"order = {order}, by Q's cut-off and P's lag of {delay} samples there")
+        chosen.append(
+            f"order = {order}, from the cut-off of Q and the delay of P there, {delay} samples"
+        )
     order = arguments.whole("order", order, 1)
     if order > LONGEST_FILTER:
         raise ValueError(
-            f"order = {order} is more than {LONGEST_FILTER}, beyond which a design takes minutes: "
-            "leave it out, L = B then looks as far as P needs, or sample more slowly"
+            f"order = {order} is more than {LONGEST_FILTER}, beyond which a design takes "
+            "minutes: leave order out, so that L = B reaches as far as P needs, or sample "
+            "more slowly"
         )
     if order > n:
         raise ValueError(
-            f"order = {order} is more than the {n} frequencies of omega determine: take "
+            f"order = {order} is more than the {n} frequencies of omega can determine: take "
             f"order = {n} or less, or more frequencies"
         )
     return order
@@ -158,8 +162,8 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
         band, weights = _of_band(response.omega, cutoff, band, summed, chosen)
     elif band is not None or not summed:
         raise ValueError(
-            f"reference takes the place of the band in the sum (39), but band = {band!r} and "
-            f"objective = {kind!r}: leave these out, or the reference"
+            f"reference replaces the band in the sum (39), but band = {band!r} and objective = "
+            f"{kind!r} are given: leave these out, or leave the reference out"
         )
     else:
         p = len(response.scale.y)
@@ -171,8 +175,8 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
     largest = np.abs(Q[weights > 0] if summed else Q).max()
     if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
         raise ValueError(
-            f"Q has a gain of {largest:.3g} at most where the objective counts, so that nothing "
-            "is learned: its cut-off must be in rad/s"
+            f"Q has a gain of at most {largest:.3g} at the frequencies of the objective, so "
+            "that nothing is learned: is its cut-off in rad/s?"
         )
     return Objective(kind, weights, band, error)
 
@@ -182,7 +186,7 @@ def _of_band(omega, cutoff, band, summed, chosen):
     if band is None:
         band = defaults.band(cutoff, omega)
         if summed:
-            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to Q's cut-off")
+            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, up to the cut-off of Q")
     low, high = band = tuple(arguments.array("band", band, (2,)).tolist())
     inside = (omega >= low) & (omega <= high)
     slack = SAME_ANGLE * omega[-1]
@@ -199,8 +203,10 @@ def _of_band(omega, cutoff, band, summed, chosen):
 def _L_max(L_max, gain, close, chosen):
     """The bound on sigma_max(L), which may be None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max, room = gain, f"{defaults.ROOM_OF_BASE} or less" if close else defaults.ROOM
-        chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
+        L_max, room = gain, f"at most {defaults.ROOM_OF_BASE}" if close else defaults.ROOM
+        chosen.append(
+            f"L_max = {L_max:g}, {room} times a gain that inverts P up to the cut-off of Q"
+        )
     what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
     return None if L_max is None else arguments.positive("L_max", L_max, what)
 
@@ -212,9 +218,9 @@ def _bound_from(L_high, response):
     lowest, gain = arguments.array("L_high", L_high, (2,)).tolist()
     if not 0 < lowest <= response.omega[-1] or gain <= 0:
         raise ValueError(
-            f"L_high = ({lowest:g}, {gain:g}) must be a frequency from above 0 to the last one of "
-            f"omega, {response.omega[-1]:.6g} rad/s, and a positive bound on sigma_max(L) from "
-            "there on"
+            f"L_high = ({lowest:g}, {gain:g}) must be two positive numbers: a frequency up to "
+            f"the last one of omega, {response.omega[-1]:.6g} rad/s, and a bound on "
+            "sigma_max(L) at and above this frequency"
         )
     return lowest, gain
 
@@ -253,8 +259,9 @@ def refuse_singular(response):
 def _singular(name, omega, value):
     """The error of a plant that is singular at a frequency."""
     return ValueError(
-        f"{name} is singular at omega = {omega:.6g} rad/s (smallest singular value {value:.3g}): "
-        "P^-1 in (40) does not exist there. Does each output respond to an input, and each input "
-        "act on an output? Channels in units that differ by millions need scale. If P passes "
-        "nothing there, M is |Q| for any L: leave such frequencies out"
+        f"{name} is singular at omega = {omega:.6g} rad/s (its smallest singular value is "
+        f"{value:.3g}), so that P^-1 in (40) does not exist there. Does each output respond to "
+        "an input, and does each input act on an output? Channels in units that differ by a "
+        "factor of millions need `scale`. If P passes nothing there, sigma_max(M) is |Q| for "
+        "every L: leave such frequencies out"
     )

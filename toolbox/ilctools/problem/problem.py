@@ -264,14 +264,18 @@ class Problem:
         chosen = [f"chosen: {'; '.join(self.defaults_chosen)}"] if self.defaults_chosen else []
         if isinstance(self.lowpass, SampledQ):
             last = np.abs(self.lowpass.samples[-1])
-            text = f"Q is splined between its samples, and {last:.4g} above the last"
+            text = (
+                f"Q is interpolated by splines between its samples, and is {last:.4g} above "
+                "the last one"
+            )
             more.append(Assumed(text))
         if lost.any():
             low, high = self.omega[lost][[0, -1]]
             more.append(
-                f"nothing can be learned at {lost.sum()} frequencies from {low:.4g} to {high:.4g} "
-                "rad/s, where the uncertainty ball contains singular plants; |Q|, below which "
-                f"sigma_max(M) cannot be, is up to {np.abs(self.Q[lost]).max():.4g} there"
+                f"nothing can be learned at {lost.sum()} frequencies from {low:.4g} to "
+                f"{high:.4g} rad/s, where the radius of P contains singular plants; "
+                "sigma_max(M) is at least |Q| there, which is up to "
+                f"{np.abs(self.Q[lost]).max():.4g}"
             )
         return (*chosen, *response.assumptions, *response.assumed, *more)
 

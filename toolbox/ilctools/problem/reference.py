@@ -64,8 +64,8 @@ def error_weights(spectrum, angles) -> np.ndarray:
     weights = np.sqrt(np.diff(np.interp(edges, fine, up_to)).clip(0) * np.diff(edges))
     if not weights.any():
         raise ValueError(
-            "reference leaves no error in the first trial, so that nothing is to be learned: pass "
-            "a reference that is not zero, or a band"
+            "reference leaves no error in the first trial, so that nothing can be learned: "
+            "pass a reference that is not zero, or a band"
         )
     return weights / weights.sum()
 

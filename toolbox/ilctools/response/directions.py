@@ -53,8 +53,14 @@ class Directions:
     def in_words(self, outputs, inputs) -> str:
         """Describe what P does not pass, by the names of its channels."""
         texts = [
-            *(f"no input moves {text} of the outputs" for text in _beside(self.U, outputs)),
-            *(f"{text} of the inputs moves nothing" for text in _beside(self.V, inputs)),
+            *(
+                f"no input moves the combination {text} of the outputs"
+                for text in _beside(self.U, outputs)
+            ),
+            *(
+                f"the combination {text} of the inputs moves no output"
+                for text in _beside(self.V, inputs)
+            ),
         ]
         return "; ".join(texts)
 

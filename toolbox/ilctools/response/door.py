@@ -85,7 +85,9 @@ def _units(like, scale, signals, p, m) -> Scale:
         return scale_of(scale, *_names(signals, p, m))
     outputs, inputs = like.scale.of_P.shape
     if (p, m) != (outputs, inputs):
-        raise ValueError(f"P has {p} outputs and {m} inputs, but the design {outputs} and {inputs}")
+        raise ValueError(
+            f"P has {p} outputs and {m} inputs, but the design has {outputs} and {inputs}"
+        )
     return like.scale
 
 
@@ -93,8 +95,8 @@ def _refuse_no_filter(Q):
     """Refuse a Q that is a number or runs in one direction only."""
     if isinstance(Q, control.LTI | Real):
         raise ValueError(
-            f"Q = {reprlib.repr(Q)} is no filter, or one that runs in one direction only: pass "
-            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+            f"Q = {reprlib.repr(Q)} is no filter, or a filter that runs in one direction only: "
+            "pass zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
         )
 
 
@@ -102,7 +104,8 @@ def _on_omega(plants, uncertainty, omega, Ts, Q):
     """Plants and radius with ordered axes, and omega, which must be the same for all of them."""
     if isinstance(omega, ZeroPhaseButterworth):
         raise ValueError(
-            f"omega = {reprlib.repr(omega)}: Q comes second, as synthesise(P, Q, omega)"
+            f"omega = {reprlib.repr(omega)} must be frequencies: Q comes second, as in "
+            "synthesise(P, Q, omega)"
         )
     if omega is not None:
         omega = labels.in_radians("omega", omega)
@@ -121,8 +124,8 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
     if isinstance(P, Measured):
         if uncertainty is not None:
             raise ValueError(
-                "uncertainty must be None if P is a measured response, which has a radius of its "
-                "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
+                "uncertainty must be None if P is a measured response, which has its own "
+                "radius: for a larger radius, pass both arrays of P.on(omega, confidence)"
             )
         _, radius = P.on(omega, CONFIDENCE, scale)
         low = None
@@ -132,7 +135,7 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
         return Accuracy(_unless_zero(radius), P.statements(omega, CONFIDENCE), low)
     if uncertainty is None:
         return Accuracy()
-    relative = f"the radius is {uncertainty} sigma_max(P), at each frequency"
+    relative = f"the radius is {uncertainty} sigma_max(P) at each frequency"
     radius = _unless_zero(radius_of(uncertainty, nominal))
     return Accuracy(radius, (relative,) if np.ndim(uncertainty) == 0 else ())
 
@@ -173,13 +176,13 @@ def named(P) -> dict:
     several = isinstance(P, list | tuple) and (not P or any(map(_is_plant, P)))
     plants = {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
     if not plants:
-        raise ValueError("P = [] holds no plant: pass one or more, the nominal one first")
+        raise ValueError("P = [] holds no plant: pass one or more plants, the nominal one first")
     for name, plant in plants.items():
         refuse_foreign(name, plant)
         if several and isinstance(plant, Measured):
             raise ValueError(
-                f"{name} is a measured response, whose radius would count for all of the list: "
-                "pass it alone, or P.on(omega, confidence) as arrays"
+                f"{name} is a measured response, whose radius would count for all plants of "
+                "the list: pass it alone, or pass the arrays of P.on(omega, confidence)"
             )
         if not isinstance(plant, Loop | control.LTI | Measured):
             arguments.array(name, plant, ("omega", "outputs", "inputs"), complex)
@@ -202,7 +205,7 @@ def _period(*systems):
         period = getattr(system, "Ts", getattr(system, "dt", None))
         if period and period is not True:
             return period
-    raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
+    raise ValueError("Ts must be given, because neither P nor Q states the sampling period")
 
 
 def frequencies(plants, Ts, Q=None) -> np.ndarray:
@@ -217,12 +220,12 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
         if isinstance(plant, control.FrequencyResponseData):
             return plant.omega
     if not all(isinstance(plant, Measured) for plant in sampled):
-        raise ValueError("omega must be given: P is an array, which does not know its frequencies")
+        raise ValueError("omega must be given: P is an array, which does not state its frequencies")
     if not isinstance(Q, ZeroPhaseButterworth | None):
         arguments.array("Q", Q, ("frequency",), complex)
         raise ValueError(
-            "omega must be given, as Q holds samples: or pass zero_phase_butterworth(order, "
-            "cutoff, Ts), from whose cut-off a grid is chosen"
+            "omega must be given, because Q holds samples: pass omega, or "
+            "zero_phase_butterworth(order, cutoff, Ts), from whose cut-off a grid is chosen"
         )
     cutoff = LOWEST_CUTOFF * np.pi / Ts if Q is None else Q.cutoff
     first = max([cutoff / 10**DECADES, *(_first_of(plant, Q) for plant in sampled)])
@@ -318,6 +321,6 @@ def _refuse_other_units(plant, omega, P, Ts):
         factor = np.pi / Ts / end
         if abs(omega[-1] / end - 1) < PRINTED_DIGITS < abs(factor - 1):
             raise ValueError(
-                f"omega ends at {omega[-1]:.6g}, by {what} = {end:.6g}, where P is real, as at "
-                f"the Nyquist frequency: omega is in {unit}, multiply it by {factor:.6g}"
+                f"omega ends at {omega[-1]:.6g}, near {what} = {end:.6g}, where P is real, as "
+                f"at the Nyquist frequency: omega is in {unit}, multiply it by {factor:.6g}"
             )

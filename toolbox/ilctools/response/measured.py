@@ -87,14 +87,17 @@ class Measured:
 
     def _between(self, omega, confidence):
         """What is assumed between and beyond the lines, at omega."""
-        yield Assumed("splines miss P by no more than they miss lines that are left out")
+        yield Assumed(
+            "between the lines, the error of the splines of P is not larger than at "
+            "lines that are left out"
+        )
         samples = self._samples(confidence)
         outside, below = samples.outside(omega), omega < samples.omega[0]
         if np.any(outside & below):
             yield samples.below_in_words
         if above := np.mean(outside & ~below):
             share = f"at {above:.0%} of omega"
-            yield Assumed(f"above, {share}, P is not larger than at the last line")
+            yield Assumed(f"above the last line, {share}, P is not larger than at this line")
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
         """Say what is known, and what :meth:`on` assumes in addition on `omega`.
@@ -147,7 +150,8 @@ class Measured:
         """
         if self.loop is None:
             raise ValueError(
-                "the table says no sampling period, which a model needs: control.frd(P, omega, Ts)"
+                "the table states no sampling period, but a model needs one: pass "
+                "control.frd(P, omega, Ts)"
             )
         Ts, (inputs, outputs) = self.loop.Ts, self.names
         grid, _ = self.on(np.linspace(0, np.pi / Ts, 8 * ROWS + 1))
@@ -165,9 +169,9 @@ class Measured:
                 break
         if best is None or distance > MOST_MODEL_ERROR:
             raise LogError(
-                f"P has no model of up to {STATES} states within a tenth of its largest gain: is "
-                "the sampling period right, do lines reach from low frequencies to the Nyquist "
-                "frequency, and are they close enough to each other?"
+                f"no model of up to {STATES} states is within a tenth of the largest gain of "
+                "P: is the sampling period right, do the lines reach from low frequencies to "
+                "the Nyquist frequency, and are they close enough to each other?"
             )
         best.update_names(inputs=inputs, outputs=outputs)
         return best
@@ -233,7 +237,7 @@ def radius_of(uncertainty, P) -> np.ndarray:
         uncertainty = uncertainty * largest_singular_values(P)
     radius = arguments.array("uncertainty", uncertainty, (len(P),))
     if radius.min() < 0:
-        raise ValueError(f"uncertainty reaches {radius.min():.6g}, but must not be negative")
+        raise ValueError(f"uncertainty has the value {radius.min():.6g}, but must not be negative")
     return radius
 
 
@@ -241,8 +245,9 @@ def with_phase(name: str, P) -> np.ndarray:
     """Return a table P (n, p, m); refuse a P that is real and not constant: no causal plant is."""
     if not P.imag.any() and np.ptp(P.real, axis=0).any():
         raise ValueError(
-            f"{name} is real at each frequency, but not constant, as no plant is: a gain without "
-            "its phase, or in dB? Pass complex values, gain * np.exp(1j * phase), phase in rad"
+            f"{name} is real at each frequency, but not constant, as no plant is: is it a gain "
+            "without its phase, or in dB? Pass complex values, gain * np.exp(1j * phase), "
+            "with the phase in rad"
         )
     return P
 

@@ -127,17 +127,20 @@ class Response:
             assumed.append(self.below_in_words)
         if self.beyond is not None:
             text = (
-                f"above {self.omega[-1]:.4g} rad/s, where P is not known, sigma_max(P) is "
-                f"{self.beyond:.4g} at most, at any phase"
+                f"above {self.omega[-1]:.4g} rad/s, where P is not known, sigma_max(P) is at "
+                f"most {self.beyond:.4g}, at any phase"
             )
             assumed.append(Assumed(text))
         if self.sampled:
             between.append(
-                "cubic splines miss P by no more than they miss samples that are left out"
+                "the error of the cubic splines of P is not larger than at samples that are "
+                "left out"
             )
         if self.radius is not None:
             between.append("the radius is interpolated by straight lines")
         if between:
             axis = "log omega" if self.samples[0].axis is np.log else "omega"
-            assumed.append(Assumed(f"between omega, {' and '.join(between)}, over {axis}"))
+            assumed.append(
+                Assumed(f"between the frequencies omega, {' and '.join(between)}, over {axis}")
+            )
         return tuple(assumed)

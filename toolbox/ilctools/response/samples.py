@@ -149,18 +149,18 @@ class Samples:
         first = f"{self.omega[0]:.4g} rad/s"
         if self.low is not None:
             return Assumed(
-                f"below {first} P is what the measured response says at rest and up to there, "
-                f"within {self.low.at(self.low.omega)[1].max():.2g}"
+                f"below {first}, P is what the measured response says at zero frequency and up "
+                f"to there, within {self.low.at(self.low.omega)[1].max():.2g}"
             )
         if self.known_below:
-            beside = ", beside its radius" if self.radius[0] else ""
+            beside = ", in addition to its radius" if self.radius[0] else ""
             return Assumed(
-                f"below {first} P is within {100 * self.moves:.2g} % of a straight line from P "
-                f"there to its real part at rest{beside}"
+                f"below {first}, P is within {100 * self.moves:.2g} % of a straight line from "
+                f"P there to its real part at zero frequency{beside}"
             )
         return Assumed(
-            f"below {first}, where P is not known, as its phase or gain moves too much, it is not "
-            "larger than there, at any phase"
+            f"below {first}, where P is not known because its phase or gain changes too fast, "
+            "P is not larger than at this frequency, at any phase"
         )
 
     def below(self, omega) -> Region:

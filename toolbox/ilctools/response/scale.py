@@ -49,8 +49,8 @@ def scale_of(scale, outputs, inputs) -> Scale:
         return _by_name(scale, outputs, inputs)
     if p != m:
         raise ValueError(
-            f"scale = {reprlib.repr(scale)} must be a dict by the names of outputs, {outputs}, and "
-            f"of learned inputs, {inputs}, as there are not as many of both"
+            f"scale = {reprlib.repr(scale)} must be a dict by the names of outputs, {outputs}, "
+            f"and of learned inputs, {inputs}, because their numbers differ"
         )
     scale = arguments.by_channel("scale", scale, outputs)
     units = _positive(arguments.array("scale", scale, (m,)))

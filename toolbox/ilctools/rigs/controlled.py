@@ -54,7 +54,9 @@ class ControlledRig:
             still = still + 1 if start.near(y, reference) else 0
             if samples is None and still >= STANDSTILL * length:
                 return ""
-        text = f"before trial {trial} the outputs were not back and still after {longest} samples"
+        text = (
+            f"before trial {trial} the outputs had not returned and settled after {longest} samples"
+        )
         return text if samples is None else ""
 
     def drive(self, trial: int, w, flows, bar, first: int = 0) -> Part:
@@ -138,9 +140,9 @@ class ControlledRig:
             if not low <= value <= high:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
                 raise StoppedError(
-                    f"{what}, the limits of stop: if units, signs and wires are right, learn less, "
-                    "by a smaller gain or a lower cut-off, in another log; or go on with wider "
-                    "ones. In trial 1 without v it is the reference that leads there"
+                    f"{what}, the limits of stop. If units, signs and wires are right, learn "
+                    "less, by a smaller gain or a lower cut-off, in a new log; or continue "
+                    "with wider limits. In trial 1 without v, the reference alone leads there"
                 )
 
     def apply(self, applied, flows) -> None:
@@ -157,5 +159,5 @@ class ControlledRig:
             else:
                 self.about.driver.apply(np.zeros(len(self.about.signals.inputs)))
         except BaseException as error:  # also a signal, after safe_time
-            error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
+            error.add_note("THE RIG MAY NOT BE SAFE: the call that should leave it safe has failed")
             raise

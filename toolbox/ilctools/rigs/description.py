@@ -86,7 +86,10 @@ class RigDescription:
         nonzero = d.any(axis=(0, 1))
         unknown = [name for i, name in enumerate(names) if nonzero[i] and name not in known]
         if unknown:
-            raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")
+            raise ValueError(
+                f"disturbance is not zero for {unknown}, which are not among "
+                "rig.inputs: set these to zero, or add them to rig.inputs"
+            )
         return d[..., [names.index(name) for name in self.signals.commanded]]
 
 
@@ -116,7 +119,9 @@ def described(
         Whether a trial starts where the last one ended.
     """
     if isinstance(arguments.instance("rig", rig, Rig), type):
-        raise ValueError(f"rig = {rig.__name__} is a class: make one, as by {rig.__name__}()")
+        raise ValueError(
+            f"rig = {rig.__name__} is a class: pass an instance, such as {rig.__name__}()"
+        )
     signals = _signals(rig, loop)
     limits = named_limits("rig.limits", getattr(rig, "limits", None), signals.inputs)
     limits = {name: limits[name] for name in signals.commands if name in limits}
@@ -155,10 +160,10 @@ def _signals(driver, loop):
     commands, measured = loop.commands, getattr(driver, "measured", {})
     inputs = list(getattr(driver, "inputs", commands))
     if missing := [name for name in commands if name not in inputs]:
-        raise ValueError(f"rig.inputs = {inputs} must name the commands {missing}")
+        raise ValueError(f"rig.inputs = {inputs} must contain the commands {missing}")
     controls = [] if isinstance(loop, CurrentTrialLoop) else loop.controls
     if missing := [name for name in controls if name not in measured]:
-        raise ValueError(f"rig.measured must have the controls {missing} of the loop")
+        raise ValueError(f"rig.measured must contain the controls {missing} of the loop")
     commanded = [name for name in loop.disturbances if name in inputs]
     known = [name for name in loop.disturbances if name in inputs or name in measured]
     return RigSignals(loop.outputs, commands, inputs, controls, commanded, known)

@@ -83,7 +83,8 @@ def record(
     -------
     xarray.Dataset
         As from :func:`ilctools.run_trials`, with the disturbances that are commanded or measured.
-        With limits, `u` is the command that was asked for, and `applied` was sent to the rig.
+        With limits, `u` is the command that was asked for, and `applied` was sent to the rig. For
+        a ClosedLoop there is neither.
 
     Raises
     ------
@@ -177,7 +178,10 @@ def record(
 def _checked_pause(pause: int | None, about: RigDescription) -> int | None:
     """Check the number of samples between two trials; None: until the outputs are back."""
     if about.goes_on and pause is not None:
-        raise ValueError(f"reset = False, but pause = {pause}: there is none, leave it out")
+        raise ValueError(
+            f"reset = False, but pause = {pause}: without reset there is no pause "
+            "between trials, so leave pause out"
+        )
     if pause is None:
         return 0 if about.begin else None
     return arguments.whole("pause", pause, 0)

@@ -84,8 +84,9 @@ class Experiment:
         }
         if differing := [what for what, is_same in same.items() if not is_same]:
             raise ValueError(
-                f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
-                "another path, or go on with the same"
+                f"path = '{path}' holds another experiment, which differs in "
+                f"{', '.join(differing)}: give another path, or continue with the same "
+                "arguments"
             )
 
     def v_after(self, trials: list[Part], upcoming) -> np.ndarray:
@@ -110,9 +111,9 @@ class Experiment:
         except Exception as error:
             error.trials = past.log
             error.add_note(
-                f"in {rig.place}; nothing was applied after it but what leaves the rig safe; "
-                f"the attribute trials of this error has {len(past.trials)} "
-                f"(path = {path})"
+                f"This happened in {rig.place}. After it, only the commands that leave the rig "
+                f"safe were applied. The attribute trials of this error has {len(past.trials)} "
+                f"trials (path = {path})"
             )
             raise
         return past.log

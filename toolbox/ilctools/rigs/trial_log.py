@@ -23,7 +23,9 @@ def log_path(path) -> Path:
 
 def without_others(path: Path) -> AbstractContextManager:
     """Keep other processes from the log at `path`."""
-    busy = f"path = '{path}' is recorded to by another process: wait, or give another"
+    busy = (
+        f"another process records to path = '{path}': wait until it has ended, or give another path"
+    )
     return alone(path.with_name(f".{path.name}.lock"), busy)
 
 
@@ -66,8 +68,9 @@ class TrialLog:
             return
         if self.path.stat().st_size != self.size:
             raise FileExistsError(
-                f"path = '{self.path}' was changed by another program during a trial, and is left "
-                "as it is: save the attribute trials of this error by save_log, at another path"
+                f"another program changed path = '{self.path}' during a trial, and the file is "
+                "left as it is: save the attribute trials of this error by save_log, at another "
+                "path"
             )
         signals = [trial[name] for name in columns_of(signals_of(log), log)]
         append(self.path, rows_as_text(len(log.trial), log.time.values, signals))

@@ -12,6 +12,10 @@ from ilctools.trials.learn import Part
 from ilctools.trials.start import Start
 from ilctools.warn import warn
 
+OF_RIG = (  # what follows for the law if a rig has limits that the law does not know
+    "; the rig saturated them, but the law does not know these limits: state them as limits of "
+    "the law"
+)
 LATE_SAMPLE = 0.1  # sampling periods that a sample may be late or early
 EACH_TRIAL = {"pause", "clock", "rig"}  # kinds of warnings in each trial; other kinds come once
 
@@ -41,13 +45,15 @@ def warnings_of(
         texts |= diagnose(log, about.law, first=number)
         texts["start"] = _another_start(about, trials)
     if off := [seconds for seconds in late if seconds > LATE_SAMPLE * about.Ts]:
-        texts["clock"] = f"{len(off)} samples were not on time, by up to {max(off):.3g} s"
+        texts["clock"] = (
+            f"{len(off)} samples were not on time; the largest deviation was {max(off):.3g} s"
+        )
     return {kind: text and f"after trial {number}: {text}" for kind, text in texts.items()}
 
 
 def _beyond_limits(about, trial):
     """State which commands saturate; the law knows its own limits, but not those of a rig."""
-    kind, limits, then = "rig", about.limits, "; what the rig cuts off, the law does not know"
+    kind, limits, then = "rig", about.limits, OF_RIG
     if about.actuators:
         kind, limits, then = "limits", about.law.known_limits, CUT_OFF
     beyond = commands_beyond(about.loop.asked(trial), about.signals.commands, limits)

@@ -87,13 +87,16 @@ def choose_cutoff(response: Response, M_max: float) -> Cutoff:
     limits = _limits(response, SHARE_OF_M_MAX * M_max)
     least = _least(limits, left_out=False)
     if least.index is None:
-        return Cutoff(least.omega, "the highest at which P is known well enough")
+        return Cutoff(least.omega, "limited by the frequencies at which P is known well enough")
     if limits.weak[least.index] == least.omega:
-        reason, what = "by how far P reaches", "that P passes little"
+        reason, what = "limited by the small gain of P", "the small gain of P"
     elif response.radius is not None:
-        reason, what = "by how far P is known", "the radius of P"
+        reason, what = "limited by the radius of P", "the radius of P"
     else:
-        reason, what = "by how far the plants agree", "that the plants differ"
+        reason, what = (
+            "limited by the differences between the plants",
+            "the difference between the plants",
+        )
     rows, _ = label(least.among)
     run = rows == rows[least.index]  # the neighbours in a row
     without = _least(limits, run).omega

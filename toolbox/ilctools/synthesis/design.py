@@ -187,18 +187,18 @@ def synthesise(
     >>> rate, margins, gains, *_ = str(design).splitlines()
     >>> print(rate)
     rate at most 0.0072, at all frequencies, proven; largest near 64 rad/s
-    >>> for part in [*margins.split(", "), *gains.split(", ")]:
+    >>> for part in [*margins.split(", "), *gains.split("; ")]:
     ...     print(part)
     ...
-    margins: gain 100 % lower to 100 % higher
-    delay 4.7 samples less to 4.7 more
-    46 % faster to 100 % slower
-    any error of 200 % of sigma_max(P) at the cut-off
-    P is 1 at rest
-    Q's cut-off 40 rad/s
-    where P lags by 1 samples
-    sigma_max(L) 20
-    norm of a trial of 441 samples 0.312
+    margins (one change at a time): gain 100 % lower to 100 % higher
+    delay 4.7 samples shorter to 4.7 longer
+    time scale 46 % faster to 100 % slower
+    any error up to 200 % of sigma_max(P) at the cut-off
+    P is 1 at zero frequency
+    the cut-off of Q is 40 rad/s
+    P has a delay of 1 sample there
+    sigma_max(L) is 20
+    the norm of a trial of 441 samples is 0.312
     >>> law = design.law()
     """
     if isinstance(base, str):
@@ -245,11 +245,14 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
     cutoff = design.Q.cutoff
     text, costs = f"Q with cut-off {cutoff:.4g} rad/s", []
     if norm >= 1:
-        text += f", half of {first.Q.cutoff:.4g} rad/s, where the norm of a trial is {norm:.3g}"
+        text += f", half of {first.Q.cutoff:.4g} rad/s, with which trial_norm is {norm:.3g}"
         costs.append(_cost_of_ends(first, design))
     text += f", {limit.reason}"
     if limit.decisive:
-        text += f": {limit.decisive} decides, without it {limit.without:.2g} rad/s"
+        text += (
+            f"; {limit.decisive} decides, and without that range the cut-off would be "
+            f"{limit.without:.2g} rad/s"
+        )
     if limit.costly:
         costs.append(Finding("narrow", limit.without, limit.omega, limit.decisive))
     if cutoff == lowest:
@@ -268,7 +271,9 @@ def _cost_of_ends(first, half) -> Finding:
     if found := _rest_that_mends(first):
         rest, mended = found
         Q = f"zero_phase_butterworth({ORDER}, {first.Q.cutoff:.4g}, {first.Q.Ts:g})"
-        remedy = f". With {Q} as Q and law(rest={rest}) of that design, the norm is {mended:.2g}"
+        remedy = (
+            f". With {Q} as Q, and with law(rest={rest}) of that design, trial_norm is {mended:.2g}"
+        )
     code, norm = ("ends", left) if left >= 1 else ("halved", norm)
     return Finding(code, norm, half.Q.cutoff, f"of {samples} samples", remedy)
 
@@ -319,8 +324,9 @@ def _remedy(problem):
     if not problem.bounds.everywhere:
         return ""
     return (
-        " Bounds at every frequency are harder than on omega: take more frequencies, a shorter "
-        "filter or a larger M_max, or leave `everywhere` out: the certificate says what holds then."
+        " Bounds at every frequency are harder to meet than bounds on omega: take more "
+        "frequencies, a shorter filter or a larger M_max, or leave `everywhere` out, and read "
+        "in the certificate what then holds."
     )
 
 
@@ -348,20 +354,20 @@ def _infeasible(problem) -> InfeasibleError:
     """Make the error: what would be feasible, and where the bounds are the main obstacle."""
     posed, nearest = solve_everywhere(problem, nearest=True)
     plant, omega = _obstacle(posed, nearest)
-    where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
+    where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"P at {omega:.4g} rad/s"
     least = np.ceil(1e6 * nearest.largest) / 1e6  # rounded up, so that this M_max is feasible
     longer = "a longer filter" if problem.structure == "full" else "a longer filter, or a full one"
-    longer += "" if problem.base is None else ", a larger `reach`, or none of B (pass its order)"
+    longer += "" if problem.base is None else ", a larger `reach`, or base=None"
     raised = " or ".join(claim.name for claim in problem.bounds.claims)
     texts = "; ".join(map(str, problem.assumptions))
     return InfeasibleError(
-        f"infeasible: {' and '.join(map(str, problem.bounds.claims))} are too tight for a "
-        f"{problem.structure} filter of order = {problem.order} (P lags by "
-        f"{problem.delay_samples} samples at the cut-off); the smallest feasible M_max is "
-        f"{least:.6g} (most in the way: {where}): raise {raised}, take {longer}, lower the cut-off "
-        "of Q (without Q, it is chosen), or design a faster loop. If no bound so tight was meant: "
-        "are units, signs and the order of the channels right, in each plant?"
-        f"{_remedy(problem)} {texts}",
+        f"infeasible: no {problem.structure} filter of order = {problem.order} meets "
+        f"{' and '.join(map(str, problem.bounds.claims))}, where P has a delay of "
+        f"{problem.delay_samples} samples at the cut-off. The smallest feasible M_max is "
+        f"{least:.6g}; the main obstacle is {where}. Raise {raised}, take {longer}, lower the "
+        "cut-off of Q (without Q, the design chooses it), or design a faster loop. If the "
+        "bounds were not meant to be this tight, check the units, signs and the order of the "
+        f"channels in each plant.{_remedy(problem)} {texts}",
         nearest.largest,
         plant,
         omega,

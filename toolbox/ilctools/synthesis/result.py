@@ -108,7 +108,8 @@ class Synthesis:
         problem = self.problem
         if isinstance(problem.lowpass, SampledQ):
             raise ValueError(
-                "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
+                "Q = samples cannot be applied to a trial: pass synthesise a filter Q, such "
+                "as zero_phase_butterworth(order, cutoff, Ts)"
             )
         region = in_own_units(problem.response)
         signals = problem.response.signals
@@ -126,12 +127,16 @@ class Synthesis:
             of_outputs = {name: ends for name, ends in limits.items() if name in outputs}
         if both := [name for name in of_outputs if name in inputs]:
             raise ValueError(
-                f"limits[{both[0]!r}] is the name of an output and of an input: give the inputs "
-                "of P other names"
+                f"limits[{both[0]!r}] is the name of an output and of an input: give this "
+                "input of P another name"
             )
         if not of_outputs:
             if noise:
-                raise ValueError(f"noise = {noise!r}, but limits has no output, {outputs}")
+                raise ValueError(
+                    f"noise = {noise!r} is for limits of outputs, but limits "
+                    f"names none of the outputs {outputs}: leave noise out, or "
+                    "add limits"
+                )
             return limits, None
         of_commands = {name: limits[name] for name in limits if name not in of_outputs}
         region = PlantRegion.of(self.problem.response, model)

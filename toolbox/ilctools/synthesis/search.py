@@ -27,7 +27,8 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     and their gains differ by orders of magnitude. A solver then returns an arbitrary one of these
     filters. This function returns the filter with the least max sigma_max(L). The filter keeps the
     least peak to a relative 1e-9. If such filters are too similar for the solver to distinguish,
-    the filter keeps the peak to 1e-6 or 1e-4.
+    the filter keeps the peak to 1e-6 or 1e-4. If the least peak is below a hundredth of the peak
+    for L = 0, these numbers are relative to this hundredth.
 
     Parameters and errors are the same as for :func:`synthesise`, except for `objective` and
     `L_max`. Q must be given, and `base` must be None. The result is the result of (45) with (46),
@@ -51,15 +52,17 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     for name in ("objective", "L_max", "base"):
         if name in choices and (name, choices[name]) != ("base", None):
             raise ValueError(
-                f"{name} = {reprlib.repr(choices[name])} must be left out: asked is the least "
-                'gain of the least peak; with a bound on L, synthesise(objective="peak")'
+                f"{name} = {reprlib.repr(choices[name])} must be left out, because least_gain "
+                "looks for the least gain of L at the least peak: for a bound on L, call "
+                "synthesise with objective='peak'"
             )
     known = choices.pop("uncertainty", None), choices.pop("scale", None)
     problem = pose(response_of(P, omega, Ts, *known, Q), Q, objective="peak", L_max=None, **choices)
     if not problem.square:
         raise ValueError(
-            "least_gain searches among filters without base, which need as many learned inputs as "
-            f"outputs, but P has {problem.m} and {problem.p}: call synthesise"
+            "least_gain searches among filters without base, which need as many learned "
+            f"inputs as outputs, but P has {problem.m} inputs and {problem.p} outputs: call "
+            "synthesise"
         )
     free = certified(problem)
     unit = ENOUGH * free.sigma_L.max()
@@ -77,8 +80,8 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             continue
     else:
         raise SolverError(
-            "the least gain was not found: filters that keep the least peak are too much alike; "
-            "take a shorter filter, or synthesise with an L_max"
+            "the least gain was not found, because the filters with the least peak differ too "
+            "little from each other: take a shorter filter, or synthesise with an L_max"
         )
     return warn_of_findings(
         certified(replace(problem, bounds=replace(problem.bounds, L_max=L_max)))

@@ -23,11 +23,11 @@ def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
         if k >= first - 2 and distance.min() < 0:
             name, number = kept.region.outputs[distance.argmin()], trials.trial.values[k]
             return (
-                f"{name} was beyond its limit by {-distance.min():.3g} in trial {number}, and the "
-                f"next one goes back: from rest, {kept.safe_share(y):.2f} of what drove this trial "
-                "would have kept it. If it was trial 1, let it take a smaller share of the "
-                "reference (pilot); else a disturbance came, or the plant is not linear, or not "
-                "within the radius"
+                f"{name} was beyond its limit by {-distance.min():.3g} in trial {number}, and "
+                f"the next trial steps back. From rest, {kept.safe_share(y):.2f} times the "
+                "signal that drove this trial would have kept the limit. If this was trial 1, "
+                "begin with a smaller share of the reference (pilot). Otherwise a disturbance "
+                "came, or the plant is not linear, or is not within the radius"
             )
     return ""
 
@@ -51,7 +51,8 @@ def stands_still(trials: xr.Dataset, law: Law) -> str:
     if step is None:
         return ""
     return (
-        f"learning stands still at the limit of {kept.region.outputs[step.output]}: the model's "
-        f"error may add {step.error:.3g}, and the room is {step.room:.3g}. Take more distance from "
-        "the limit, or a smaller radius, by a longer excitation"
+        f"learning stands still at the limit of {kept.region.outputs[step.output]}, because "
+        f"the error of the model may add {step.error:.3g}, and the room is {step.room:.3g}: "
+        "keep the reference farther from the limit, or make the radius smaller, by a longer "
+        "excitation"
     )

@@ -373,25 +373,27 @@ def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
 
 WARNINGS = {
     "growth": (
-        "{where}the error grows, by more than noise explains: its RMS was {rms[0]:.3g} in trial "
-        "{trials[0]} and is {rms[1]:.3g} in trial {trials[1]}. Unless there was a new disturbance, "
-        "the law diverges, or the plant differs from the model: measure P (shake), or learn less, "
-        "by a lower cut-off of Q or a smaller learning gain. With sigma_max(M) below 1 the ends of "
-        "a trial may be the cause: bound L (L_max) so that trial_norm is below 1, too, or let "
-        "reference and v rest there"
+        "{where}the error grows by more than noise explains: its RMS was {rms[0]:.3g} in "
+        "trial {trials[0]} and is {rms[1]:.3g} in trial {trials[1]}. Unless there was a new "
+        "disturbance, the law diverges, or the plant differs from the model: measure P "
+        "(shake), or learn less, by a lower cut-off of Q or a smaller learning gain. If "
+        "sigma_max(M) is below 1, the ends of a trial may be the cause: bound L (L_max) so "
+        "that trial_norm is below 1, too, or let reference and v be constant there"
     ),
     "dead": (
         "{outputs} did not move in trial {trial}, where the model predicts a movement of "
-        "{moves:.3g}: is a sensor dead or not connected, or an actuator switched off? What "
-        "is learned from an output that does not move grows in each trial and lowers no error"
+        "{moves:.3g}: is a sensor dead or not connected, or an actuator switched off? If an "
+        "output does not move, the v that is learned from it grows in each trial without "
+        "reducing an error"
     ),
     "model": (
-        "{where}the convergence rate is not the predicted one: up to {frequency:.2g} rad/s, trial "
-        "{trials[1]} has {measured:.2f} of the error of trial {trials[0]}; the model predicts "
-        "{predicted:.2f}, {bound:.2f} at most{even}, and noise is less. Unless there was a new "
-        "disturbance, the plant differs from the model: of the changes that this predicts, "
-        "{came:.2g} in {output} came; is a signal in another unit (y in m, r in mm), a sensor "
-        "dead, or a sensor or an actuator at its limit, exchanged or reversed? Else measure P "
-        "(shake), or expect this rate, if it is below one"
+        "{where}the convergence rate is not the predicted one: up to {frequency:.2g} rad/s, "
+        "trial {trials[1]} has {measured:.2f} of the error of trial {trials[0]}, but the "
+        "model predicts {predicted:.2f}, and at most {bound:.2f}{even}; noise explains less. "
+        "Unless there was a new disturbance, the plant differs from the model: {output} "
+        "changed by {came:.2g} times the change that the model predicts. Is a signal in "
+        "another unit (y in m, r in mm), is a sensor dead, or is a sensor or an actuator at "
+        "its limit, exchanged or reversed? Otherwise measure P (shake), or accept this rate, "
+        "if it is below one"
     ),
 }

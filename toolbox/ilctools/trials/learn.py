@@ -61,8 +61,9 @@ def _first_share(law, reference, v, pilot):
         pilot = arguments.number("pilot", pilot, "a share in (0, 1]", 0, most=1)
         if v is not None or not added:
             raise ValueError(
-                f"pilot = {pilot} is a share of the reference, by v of trial 1: it needs a loop "
-                "whose v is added to references, and no v of your own"
+                f"pilot = {pilot} is a share of the reference, from which v of trial 1 is "
+                "made: it needs a loop whose v is added to references, and no v as an "
+                "argument"
             )
     elif v is None and law.output_limits is not None and added:
         pilot = law.output_limits.first_share(reference)
@@ -74,19 +75,23 @@ def check_between(between: str, loop: Loop, reset: bool) -> None:
     arguments.choice("between", between, BETWEEN_TRIALS)
     if between == TRANSFER and not (loop.one_for_one and reset):
         raise ValueError(
-            "between = 'transfer' needs a v that is added to references, one for each output, and "
-            "a reset before each trial"
+            "between = 'transfer' needs a v that is added to references, one for each output, "
+            "and a reset before each trial"
         )
 
 
 def _check_output_limits(law, reference, reset, one):
     """Refuse, before any trial, arguments with which limits of outputs cannot be kept."""
     if not reset:
-        raise ValueError("reset = False, but limits of outputs need a start from rest in each")
+        raise ValueError(
+            "reset = False, but limits of outputs need trials that start from "
+            "rest: take reset=True, or leave these limits out"
+        )
     if not one and not law.loop.one_for_one:
         raise ValueError(
-            "reference changes from trial to trial, and moves outputs by other inputs than v, for "
-            "which nothing is known within a radius: take one, or leave out limits of outputs"
+            "reference changes from trial to trial, and acts on the outputs through other "
+            "inputs than v, for which no radius is known: use one reference, or leave out the "
+            "limits of outputs"
         )
     for r in reference[:1] if one else reference:
         law.output_limits.check_rest(r)

@@ -28,8 +28,8 @@ def filled(reference):
     for row in flat:
         if np.isnan(row[0]):
             raise ValueError(
-                "reference begins with NaN, but must say where each output is when a trial begins: "
-                "give its first sample a number"
+                "reference begins with NaN, but must state where each output is when a trial "
+                "begins: give its first sample a number"
             )
         there = ~np.isnan(row)
         row[:] = np.interp(time, time[there], row[there])
@@ -66,8 +66,9 @@ def asking(law: Law, asked: np.ndarray) -> Law:
         return law
     if not isinstance(law.L, NormOptimal):
         raise ValueError(
-            f"reference has NaN at {np.mean(~asked):.0%} of the samples, where nothing is asked, "
-            "but L learns from all: take L = NormOptimal(P, weight, samples)"
+            f"reference has NaN at {np.mean(~asked):.0%} of the samples, where no output is "
+            "prescribed, but L learns from all samples: take L = NormOptimal(P, weight, "
+            "samples)"
         )
     errors = asked if law.L.errors is None else law.L.errors * asked
     return replace(law, L=replace(law.L, errors=errors))

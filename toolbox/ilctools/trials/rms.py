@@ -46,7 +46,10 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     """
     if isinstance(e, xr.Dataset):
         if not {"reference", "y"} <= set(e):
-            raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
+            raise ValueError(
+                f"e has the variables {[*e]}, but not both reference and y: pass "
+                "one of its variables, as e.y"
+            )
         e = with_points(e.assign(e=e.reference.astype(float) - e.y), points_of(e)).e
     arguments.instance("e", e, xr.DataArray)
     if "time" not in e.dims or not {"channel", "input"} & {*e.dims}:

@@ -96,8 +96,8 @@ def run_trials(
         and e = reference - y, the error that the controller sees. Their dimensions are trial
         (1, 2, ...), time (s), and channel (1, 2, ...) or source. Their unit is an attribute.
         Channels have the coordinates output, control, output_unit and control_unit. If v is not
-        added to references one for one, its last dimension is input. For a ClosedLoop there are no
-        u and delta. With limits, applied is the saturated u.
+        added to references one for one, its last dimension is input. With limits, applied is the
+        saturated u. For a ClosedLoop there are no u, applied and delta.
 
     Warns
     -----
@@ -136,7 +136,11 @@ def run_trials(
     law, r, first, points = asked_of(law, reference, trials, v, reset, pilot, between)
     d = disturbances_of(loop, disturbance, *r.shape[:2])
     if not simulated.ours and d.any():
-        raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
+        raise ValueError(
+            "disturbance is not zero, but loop.P has no input for disturbances: "
+            "leave disturbance out, or name the inputs of P for it in "
+            "`disturbances`"
+        )
     noise = np.zeros(r.shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
 
@@ -243,8 +247,8 @@ def _warnings(result, law, exact, from_rest):
             yield beyond + CUT_OFF
     if not result.y.any() and np.any(law.loop.asked(result)):
         yield (
-            f"no output moves in the {result.sizes['time']} samples of a trial: it is not longer "
-            "than the delay of the plant"
+            f"no output moves in the {result.sizes['time']} samples of a trial: is a trial "
+            "shorter than the delay of the plant?"
         )
     if law.L is not None and from_rest:
         r = result.reference.values

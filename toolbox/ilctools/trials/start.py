@@ -41,16 +41,17 @@ class Start:
         """Say in words how far the outputs (time, output) of another trial are from this start."""
         words = self._distance(y)
         return words and (
-            f"it starts {words} from where the first trial did: what is learned holds for one "
-            "start. Wait for longer, by pause, or bring the rig back, by its begin"
+            f"this trial starts {words} away from where the first trial started, but the "
+            "learned v holds for one start only: wait for longer, by pause, or bring the rig "
+            "back, by its begin"
         )
 
     def away(self, reference) -> str:
         """Say in words how far the reference (time, output) of a trial begins from this start."""
         words = self._distance(reference)
         return words and (
-            f"the reference starts {words} from where trials do, an error that no v mends: let it "
-            "begin there"
+            f"the reference starts {words} away from where trials start, which is an error "
+            "that no v can remove: let the reference begin where trials start"
         )
 
     def _distance(self, signal):

@@ -89,8 +89,8 @@ class Transfer:
         size, share = np.sqrt(np.mean(self.v**2, axis=0)), np.round(self.predicted, 4)
         with np.printoptions(precision=3):
             return (
-                f"v of {len(self.v)} samples, of RMS {size}, may be off by {self.uncertainty}; F "
-                f"and c predict {share} of v + e in the trials"
+                f"v has {len(self.v)} samples and an RMS of {size}, which may be wrong by "
+                f"{self.uncertainty}; F and c predict a share {share} of v + e in the trials"
             )
 
 
@@ -165,14 +165,15 @@ def _signals(trials):
         task = task if "trial" in task.dims else task.expand_dims("trial")
         if "input" in task.coords:
             raise ValueError(
-                f"trials have a v of {task.input.values.tolist()}, but transfer needs one that is "
-                "added to references, one for each output"
+                f"trials have a v of {task.input.values.tolist()}, but transfer needs a v that "
+                "is added to references, one for each output"
             )
         if RESET in task.attrs or not all(
             name in task and {*task[name].dims} == {*TRIAL_AXES} for name in signals
         ):
             raise ValueError(
-                f"trials lack one of {[*signals]}, its axes, or a reset before each: see run_trials"
+                f"trials lack one of {[*signals]}, or one of its axes, or a reset before each "
+                "trial: pass the result of run_trials or record"
             )
         periods[f"trials[{len(tasks)}]"] = Signals(period_of(task))
         tasks.append(task.transpose(*TRIAL_AXES, ...))
@@ -192,8 +193,8 @@ def _model(model, outputs, period):
     if isinstance(model, Loop):
         if model.P_v is None or not model.one_for_one:
             raise ValueError(
-                "model is a loop without P, or with another v than transfer's: give P as a "
-                "state-space model from references to outputs, or leave model out"
+                "model is a loop without P, or a loop whose v is not added to references: "
+                "give P as a state-space model from references to outputs, or leave model out"
             )
         check_match(trials=Signals(period), model=model)
         return model.P_v
@@ -368,14 +369,14 @@ def _warnings(result, i, name):
     """Warn if the first signal of output i is poorly predicted or uncertain."""
     if result.predicted[i] < PREDICTED:
         yield (
-            f"F predicts {result.predicted[i]:.0%} of v + e for {name}: if another disturbance "
-            "came, actuators reached limits, or the plant was another, leave these trials out, by "
-            "isel"
+            f"F predicts only {result.predicted[i]:.0%} of v + e for {name}: if another "
+            "disturbance came, an actuator saturated, or the plant was another one, leave "
+            "these trials out, by isel"
         )
     size, off = np.sqrt(np.mean(result.v[:, i] ** 2)), result.uncertainty[i]
     if off > UNCERTAIN * size:
         yield (
-            f"v for {name}, of RMS {size:.3g}, may be off by {off:.3g}: the trials do not "
-            "distinguish the response to this reference from a repeating disturbance. Pass "
-            "the first trials, too, where v was another, or trials of another task"
+            f"v for {name}, of RMS {size:.3g}, may be wrong by {off:.3g}, because the trials "
+            "do not distinguish the response to this reference from a repeating disturbance: "
+            "pass also the first trials, where v was different, or trials of another task"
         )

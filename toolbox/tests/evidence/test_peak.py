@@ -50,7 +50,7 @@ def test_a_table_with_a_small_phase_hardly_suffers(first, more):
     known = design.certificate.peaks["estimated"].sigma
     assert true <= design.rate * (1 + 1e-3)
     assert design.rate <= known + more
-    assert f"from there on the rate is {known:.4f}" in f"{design}"
+    assert f"above this frequency, the rate is {known:.4f}" in f"{design}"
 
 
 def test_a_rate_within_a_radius_holds_for_plants_within_it_down_to_rest():
@@ -83,7 +83,7 @@ def test_a_record_says_itself_what_P_is_below_its_lowest_frequency():
         design = synthesise(measured, lowpass, scale=scale)
         assert design.certificate.peaks["estimated"].sigma < design.rate < 1
         assert peak_of_M(plant, design.filter, lowpass)[0] <= design.rate
-        assert "P is what the measured response says at rest" in f"{design}"
+        assert "P is what the measured response says at zero frequency" in f"{design}"
         S = np.array(scale)
         response = design.problem.response
         for known, truth in (
@@ -152,5 +152,5 @@ def test_a_peak_is_above_and_close_to_brute_force_in_whatever_units(n, m, distan
 
 
 def test_an_unstable_system_has_no_peak():
-    with pytest.raises(ValueError, match="unstable: it has a pole of modulus 1"):
+    with pytest.raises(ValueError, match="unstable, because it has a pole of modulus 1"):
         peak_gain(control.ss(1.0, 1, 1, 0, 1.0))

@@ -19,8 +19,9 @@ def test_of_one_plant(loop, Q, omega):
     expected = f"""\
 rate at most {good.rate:.4f}, at all frequencies, proven; largest near 0.041 rad/s
 {good.margins}
-P is diag(1, 1) at rest, Q's cut-off 0.1 rad/s, where P lags by 17 samples, \
-sigma_max(L) {good.all_L:.3g}, norm of a trial of {trial.samples} samples {trial.norm:.3g}
+P is diag(1, 1) at zero frequency; the cut-off of Q is 0.1 rad/s; P has a delay of 17 samples \
+there; sigma_max(L) is {good.all_L:.3g}; the norm of a trial of {trial.samples} samples \
+is {trial.norm:.3g}
 limited by M_max = 0.9, L_max = 50, order = 10; \
 mean of sigma_max(M) over the band: {good.mean_M:.4f}, from 0.0001 to 0.01 rad/s"""
     assert f"{good}" == expected
@@ -35,7 +36,7 @@ def test_of_tables_that_end_early():
     between, above = tables.peaks["estimated"], tables.peaks["assumed"]
     below = tables.peaks["assumed below the first sample"]
     moves = max(samples.moves for samples in tables.problem.response.samples)
-    assert f"{design}".endswith("\nassumptions: .certificate.details")
+    assert f"{design}".endswith("\nassumptions: see .certificate.details")
     assert f"{design}".startswith(f"rate at most {design.rate:.4f} for each of 3 plants, at all")
     expected = f"""\
 0.99       M_max
@@ -50,11 +51,11 @@ def test_of_tables_that_end_early():
 {tables.value:<11.5g}objective
 {tables.lower_bound:<11.5g}lower bound of the objective
 mean of sigma_max(M) of the nominal plant over the band: {tables.mean_M:.4f}, from 0.01 to 0.1 rad/s
-assumed: below 0.01 rad/s P is within {100 * moves:.2g} % of a straight line from P there to its \
-real part at rest
-assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.1714 at most, at any phase
-assumed: between omega, cubic splines miss P by no more than they miss samples that are left out, \
-over log omega"""
+assumed: below 0.01 rad/s, P is within {100 * moves:.2g} % of a straight line from P there to its \
+real part at zero frequency
+assumed: above 2 rad/s, where P is not known, sigma_max(P) is at most 0.1714, at any phase
+assumed: between the frequencies omega, the error of the cubic splines of P is not larger than at \
+samples that are left out, over log omega"""
     assert tables.details == expected
     high = BUTTERWORTH.frequency_response([2.0])[0]
     assert high < design.rate == pytest.approx(design.check(P, omega).rate, rel=1e-12)

@@ -103,5 +103,5 @@ def test_an_L_for_other_numbers_of_channels_than_the_plant_has_is_refused(P, num
     L, plant = NormOptimal(P, 0.1, 30), control.append(lag(0.5), lag(0.8))
     with pytest.raises(ValueError, match=f"L has {numbers} columns, but must have 2 rows"):
         convergence(plant, Q, L)
-    with pytest.raises(ValueError, match=r"L has . (outputs|learned inputs), loop has 2"):
+    with pytest.raises(ValueError, match=r"L has . (outputs|learned inputs), but loop has 2"):
         Law(Q, L, loop=ClosedLoop(plant))

@@ -169,7 +169,7 @@ def test_a_note_that_is_not_a_law_is_refused(loop, Q, note):
     with pytest.raises(LogError, match="law cannot be understood"):
         law_of(with_law(trials_of(loop), Law(Q, L, loop=loop)).assign_attrs(note))
     wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))  # of another plant
-    with pytest.raises(LogError, match="log has 2 outputs, law has 3 outputs"):
+    with pytest.raises(LogError, match="log has 2 outputs, but law has 3 outputs"):
         law_of(with_law(trials_of(loop), wide))
 
 
@@ -180,7 +180,7 @@ def test_a_note_that_is_not_a_law_is_refused(loop, Q, note):
 def test_only_a_law_is_read_and_replaced_by_a_law(tmp_path, Q, other):
     path = tmp_path / "law.json"
     path.write_bytes(other)
-    with pytest.raises(ValueError, match=r"law.json' is not a law of save_law") as error:
+    with pytest.raises(ValueError, match=r"law.json' is not a law saved by save_law") as error:
         load_law(path)
     assert len(str(error.value)) < 1000
     with pytest.raises(ValueError, match=r"law.json' is a file of another kind"):

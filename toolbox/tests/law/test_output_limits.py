@@ -79,7 +79,7 @@ def test_a_rig_that_was_stopped_goes_on_with_the_same_v(tmp_path):
     np.testing.assert_array_equal(parts.v, whole.v)
     assert parts.y.max() < 1.01
     replayed = replay(load_log(tmp_path / "parts.csv"))
-    assert "the recorded v is that of the law" in str(replayed)
+    assert "the recorded v agrees with the law" in str(replayed)
     assert np.all(replayed.kept["x to its limit"] > 0) and replayed.kept.alpha.max() == 1
     save_law(tmp_path / "law.json", law)
     read = run_trials(loop, load_law(tmp_path / "law.json"), r, trials=4, plant=wrong)
@@ -133,33 +133,33 @@ def test_what_is_promised_is_printed_with_its_conditions():
     law = design.law(limits={"w1": (-5, 5), "T1": (None, 60)}, noise={"T1": 0.1})
     assert law.limits == {"w1": (-5, 5)}
     assert str(law.output_limits) == (
-        "T1, as measured, stays below 60 in every trial that follows one in which it was measured "
-        "below 60 - 2 n\nThis holds for every stable linear plant within the radius; if trials "
-        "start alike, disturbances repeat and no command is cut off. n = 0.1 bounds what does not "
-        "repeat in T1 in each sample, noise included"
+        "The measured T1 stays below 60 in every trial that follows a trial in which it was "
+        "measured below 60 - 2 n\nThis holds for every stable linear plant within the radius. "
+        "Conditions: trials start alike, disturbances repeat, and no actuator saturates. n = 0.1 "
+        "bounds the non-repeating part of T1 in each sample, including noise"
     )
     exact = synthesise(P, Q).law(limits={"T2": (-1, np.full(50, 3.0))}).output_limits
-    assert "T2, as measured, stays below its limit of each sample and above -1" in f"{exact}"
+    assert "The measured T2 stays below its limit at each sample and above -1" in f"{exact}"
     assert "for the model only" in f"{exact}"
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"limits": {"T3": (0, 1)}}, r"limits is about \['T3'\], but must name some of"),
-        ({"limits": {"T1": (2, 1)}}, r"limits\['T1'\] = \(2, 1\) must be a lower and a higher"),
-        ({"limits": {"T1": 3}}, r"limits\['T1'\] = 3 must be a lowest and a highest value"),
-        ({"limits": {"T1": (None, [[1]])}}, "None, a number or one for each sample"),
-        ({"limits": {"T1": (None, np.nan)}}, "None, a number or one for each sample"),
-        ({"limits": {"T1": (np.zeros(3), np.ones(4))}}, "3 samples below, but 4 above"),
+        ({"limits": {"T3": (0, 1)}}, r"limits has the keys \['T3'\], but its keys must be some of"),
+        ({"limits": {"T1": (2, 1)}}, r"limits\['T1'\] = \(2, 1\) must have a lower limit"),
+        ({"limits": {"T1": 3}}, r"limits\['T1'\] = 3 must be two values"),
+        ({"limits": {"T1": (None, [[1]])}}, "None, a number, or one number for each sample"),
+        ({"limits": {"T1": (None, np.nan)}}, "None, a number, or one number for each sample"),
+        ({"limits": {"T1": (np.zeros(3), np.ones(4))}}, "has 3 and 4"),
         ({"limits": {"T1": (None, np.ones(9))}}, "has 9 samples, but a trial has 60"),
         (
             {"limits": {"T1": (None, -1.0)}},
-            r"\(-inf, -1.0\) leave no room where trials begin, .* 0",
+            r"\(-inf, -1.0\) leave no room at the start of a trial, .* is 0",
         ),
         ({"limits": {"T1": (None, 2.0)}, "noise": {"T1": -1}}, r"noise\['T1'\] = -1"),
-        ({"limits": {"w1": (0, 2.0)}, "noise": {"T1": 1}}, "but limits has no output"),
-        ({"limits": {"T1": (None, 2.0)}, "noise": {"T3": 1}}, r"noise is about \['T3'\]"),
+        ({"limits": {"w1": (0, 2.0)}, "noise": {"T1": 1}}, "limits names none of the outputs"),
+        ({"limits": {"T1": (None, 2.0)}, "noise": {"T3": 1}}, r"noise has the keys \['T3'\]"),
     ],
 )
 def test_what_cannot_be_kept_is_refused_before_any_trial(options, message):
@@ -173,13 +173,13 @@ def test_what_cannot_be_kept_is_refused_before_any_trial(options, message):
 def test_limits_of_outputs_without_what_they_need_are_refused():
     P, r = lag(), bump(60, [1.0])
     loop, design = ClosedLoop(P, outputs=["T1"]), synthesise(lag(), Q)
-    with pytest.raises(ValueError, match=r"limits\['T1'\] is of an output: .* by a design"):
+    with pytest.raises(ValueError, match=r"limits\['T1'\] is a limit of an output, .* synthesise"):
         run_trials(loop, Law(Q, LearningFilter([[[0.5]]], 1.0), limits={"T1": (0, 1)}), r)
     law = design.law(limits={"y[0]": (None, 1.1)})
     with pytest.raises(ValueError, match=r"a plant with the outputs \['y\[0\]'\], but the loop"):
         run_trials(loop, law, r)
     own = ClosedLoop(P)
-    with pytest.raises(ValueError, match="y = None: with limits of outputs"):
+    with pytest.raises(ValueError, match="y = None, but with limits of outputs"):
         law.bound_to(own).next(0 * r, r)
     with pytest.raises(ValueError, match=r"law\.bound_to"):
         law.next(0 * r, r, y=r)

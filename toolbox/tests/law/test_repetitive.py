@@ -190,7 +190,7 @@ def test_an_experiment_with_resets_does_not_go_on_without_and_learning_does(tmp_
 
     path, given = tmp_path / "log.csv", {"reset": False, "path": tmp_path / "log.csv"}
     record(Rig(loop.plant), loop, law, r, trials=2, **given)
-    with pytest.raises(ValueError, match="see its reset"):
+    with pytest.raises(ValueError, match="which differs in reset"):
         record(Rig(loop.plant), loop, law, r, trials=3, path=path)
     with warnings.catch_warnings(action="ignore"):  # a start is a disturbance
         log = record(Rig(loop.plant), loop, law, r, trials=3, **given)

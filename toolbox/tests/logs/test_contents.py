@@ -3,7 +3,9 @@
 import gzip
 import zipfile
 
+import numpy as np
 import pytest
+import scipy.io
 
 from ilctools import load_log, read_table
 from ilctools.errors import LogError
@@ -40,6 +42,12 @@ def test_an_encoding_that_does_not_fit_or_is_none_is_named(tmp_path, encoding, m
     (tmp_path / "table.csv").write_text(TABLE, encoding="utf-8")
     with pytest.raises(LogError, match=message):
         read(tmp_path / "table.csv", encoding=encoding)
+
+
+def test_a_matlab_file_is_to_be_read_by_scipy(tmp_path):
+    scipy.io.savemat(tmp_path / "record.mat", {"t": np.arange(3.0), "y": np.ones(3)})
+    with pytest.raises(LogError, match=r"record.mat: it is not UTF-8.*scipy.io.loadmat"):
+        read(tmp_path / "record.mat")
 
 
 def test_workbooks_and_archives_are_to_be_exported_or_unpacked_but_for_their_names(tmp_path):

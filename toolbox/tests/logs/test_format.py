@@ -82,7 +82,7 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (lambda t: t.drop_vars("v"), r"lack \['v'\]"),
+        (lambda t: t.drop_vars("v"), r"lack the signals \['v'\]"),
         (lambda t: t.assign(y=t.y.where(t.time < 2)), "trials.y has 6 values that are not finite"),
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),

@@ -60,7 +60,7 @@ def test_with_the_right_model_simulation_and_prediction_are_the_log(name, tmp_pa
     np.testing.assert_allclose(replayed.predicted, y, rtol=0, atol=atol)
     np.testing.assert_allclose(replayed.fit, 1, atol=1e-8)
     assert replayed.departure.to_numpy().max() < atol / 1000
-    assert replayed.agreement == "the recorded v is that of the law in every trial"
+    assert replayed.agreement == "the recorded v agrees with the law in every trial"
     assert replayed.omissions == []
     blind = replay(run.drop_vars(["disturbance", "source", "source_unit"]))
     for other in (blind.simulated.y.values, blind.predicted):
@@ -127,7 +127,7 @@ def test_trials_are_identified_by_their_numbers():
     some, last = replay(trials.sel(trial=[5, 2, 3])), replay(trials.sel(trial=[4, 5]))
     np.testing.assert_array_equal(some.following, last.following)
     assert some.departure.x.isna().tolist() == [True, False, True]
-    assert "but in [2, 5], without a trial before" in some.agreement
+    assert "except in trials [2, 5], which have no trial before" in some.agreement
     assert some.simulated is None and some.predicted is not None
     assert "simulation" in some.omissions[0] and "[2, 3, 5]" in some.omissions[0]
 
@@ -150,7 +150,7 @@ def test_an_unstable_plant_is_simulated_but_not_predicted():
     assert replayed.predicted is replayed.fit is None
     assert replayed.simulated is not None and "fit" not in repr(replayed)
     (omission,) = replayed.omissions
-    assert omission.startswith("prediction: it needs a loop whose model is stable")
+    assert omission.startswith("prediction: it needs u, and a loop whose model is stable")
 
 
 def test_errors_are_summed_over_channels_of_one_unit():

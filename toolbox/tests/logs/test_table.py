@@ -57,14 +57,12 @@ def read(folder, lines, **more):
     [
         (["t (K),level", *ROWS], "invalid unit abbreviation: K"),
         (["t,level", "0,1", "1,1.234.5"], "level: entry '1.234.5' in row 1"),
-        (["t,level", "0,1", "1,"], "level: entry 'nan' in row 1"),
+        (["t,level", "0,1", "1,"], "level: entry 'nan' in row 1 .* missing: interpolate"),
+        (["t,level", "0,5,20,1", "1,0,20,3"], "more entries than there are titles.*decimal=','"),
         (["t,level", "0,1", "1,1,1"], "Expected 2 fields in line 3"),
         (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 0"),
         (["t;level", "0;1"], r"outputs\['h'\] = 'level' must be .* titles are \['t;level'\]"),
-        (
-            ["t,level", *ROWS[:5], *ROWS[6:]],
-            "row 5 is 1 s after the row before, where Ts = 0.518 s",
-        ),
+        (["t,level", *ROWS[:5], *ROWS[6:]], "row 5 is 1 s after the row before, but Ts = 0.518 s"),
         (["t,level"], "Ts = nan must be"),
         (["t,level", "2,1", "1,2", "0,2"], "Ts = -1.0 must be"),
         ([], "No columns to parse"),
@@ -73,6 +71,11 @@ def read(folder, lines, **more):
 def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message):
     with pytest.raises(LogError, match=f"table.csv: .*{message}"):
         read(tmp_path, lines)
+
+
+def test_a_comma_after_the_last_entry_of_each_row_adds_no_column(tmp_path):
+    log = read(tmp_path, ["t,level", *(f"{row}," for row in ROWS)])
+    np.testing.assert_array_equal(log.y[0, :, 0], LEVEL)
 
 
 def test_trials_in_a_table_of_others_are_those_that_were_run():
@@ -109,13 +112,13 @@ def test_a_data_frame_is_read_as_it_is():
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
+        ({"time": "Tine"}, r"time = 'Tine' must .* The titles are \['Time \(sec\)'"),
         ({"time": 7}, "time = 7 must be .* from 0 to 2"),
-        ({"reference": {"h": 1}, "v": {}}, "missing are .*'v_h'"),
+        ({"reference": {"h": 1}, "v": {}}, "'v_h'.* are missing"),
         ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be"),
         ({"time": None}, "Ts = None"),
-        ({"units": {"T3": "degC"}}, "units is about"),
-        ({"Ts": 1e-3}, r"Ts = 0.001 s \(29 of 29 steps differ\)"),
+        ({"units": {"T3": "degC"}}, "units has the keys"),
+        ({"Ts": 1e-3}, r"Ts = 0.001 s \(29 of 29 steps differ\).*units={'time': 'min'}"),
     ],
 )
 def test_what_a_table_does_not_have_is_named(more, message):
@@ -139,5 +142,5 @@ def test_the_unit_of_a_clock_may_end_its_title(title, unit):
 
 def test_a_reference_in_another_unit_than_its_output_is_refused():
     frame = pd.DataFrame({"x (mm)": LEVEL, "set (m)": LEVEL})
-    with pytest.raises(ValueError, match="is in m, x in mm: state units"):
+    with pytest.raises(ValueError, match="is in m, but x is in mm: state the units"):
         read_table(frame, Ts=1.0, outputs={"x": "x"}, reference={"x": "set"})

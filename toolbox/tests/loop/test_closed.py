@@ -63,7 +63,7 @@ COUPLED = control.ss(lags(), **NAMES)
 REFUSALS = [  # a plant, and what the error names
     (control.ss(-1, [[1, 1]], [[1], [1]], 0, **NAMES), "plant.dt = 0"),
     (control.ss(lags().A, lags().B, np.eye(2), 0, 2.0, **NAMES), "plant.Ts = 2.0"),
-    (tanks(1.0), r"lacks \['a', 'b', 'p', 'q'\]"),
+    (tanks(1.0), r"also needs \['a', 'b', 'p', 'q'\]"),
     (np.ones((3, 2, 1)), "plant has shape"),
     (control.ss(lags().A, -lags().B, np.eye(2), 0, 1.0, **NAMES), "makes the loop unstable"),
 ]
@@ -103,7 +103,7 @@ def test_it_learns_on_its_rig_as_in_the_simulation(controls, tmp_path):
     loop, path = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=controls), tmp_path / "log.csv"
     rig = RestartingModel(UNNAMED)
     if controls:
-        with pytest.raises(ValueError, match=r"rig\.measured must have the controls"):
+        with pytest.raises(ValueError, match=r"rig\.measured must contain the controls"):
             record(rig, loop, LAW, REFERENCE)
         rig.measured = {"motor x": 1 / 3, "motor y": 2.0}
     decimals = {"u": 2} if controls else None

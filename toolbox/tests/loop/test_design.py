@@ -88,9 +88,9 @@ def lag(**system):
 REFUSALS = [  # a plant, arguments, and what the error names
     (lag(D=1), {}, "plant.D"),
     (control.tf([1, 0, 0], [1, 0.5], 1.0), {}, "more zeros than poles"),
-    (control.ss(0.5, 1, 1, 0, 1.0, inputs="a", outputs="a"), {}, "a name of its own"),
-    (tanks(), {}, "4 inputs for 3 outputs"),
-    (tanks(), {"controls": PUMPS, "sizes": {"leak": 1}}, "sizes is about"),
+    (control.ss(0.5, 1, 1, 0, 1.0, inputs="a", outputs="a"), {}, "its own name"),
+    (tanks(), {}, "4 inputs, but the plant has 3 outputs"),
+    (tanks(), {"controls": PUMPS, "sizes": {"leak": 1}}, "sizes has the keys"),
     (lag(), {"Qs": [[-1.0]]}, "Qs must be positive semi"),
     (lag(), {"Qo": np.zeros((2, 2))}, "Qo and Ro leave .* a weight is zero"),
     (stage(), {"controls": ["F"], "Qs": np.diag([1e60, 1e-60])}, "Qs and Rs leave the Riccati"),
@@ -98,13 +98,13 @@ REFUSALS = [  # a plant, arguments, and what the error names
     (
         control.ss(np.diag([0.5, 1.2]), np.eye(2), [[1.0, 1.0]], 0, 1.0),
         {"controls": ["u[0]"]},
-        "Qs and Rs leave .* out of reach",
+        "Qs and Rs leave .* cannot reach",
     ),
     # A mode at 1, which rounding puts inside the unit circle.
     (
         lag(A=[[1.9, 1.0], [-0.9, 0.0]], B=[[1.0], [-1.0]], C=[[1.0, 0.0]]),
         {},
-        "Qs and Rs leave .* out of reach",
+        "Qs and Rs leave .* cannot reach",
     ),
     (
         lag(A=[[0, 1.0], [0, 0.5]], B=[[0.0], [1.0]], C=[[-1.0, 1.0]]),

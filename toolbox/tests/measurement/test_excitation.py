@@ -55,7 +55,9 @@ def test_realisations_are_as_many_as_the_time_allows_or_as_asked_and_phases_thos
     assert of(10 * hour * 1.001, realisations=2) == (2, 4)
     one, same, other = (multisine(loop, 0.02, 0.3, 1.0, 1.2, 5, seed=k).phases for k in (0, 0, 1))
     assert one == same != other
-    with pytest.raises(ValueError, match="in 4 realisations of one experiment for each input: 2"):
+    with pytest.raises(
+        ValueError, match="in 4 realisations of one experiment for each input: take hours = 2"
+    ):
         multisine(loop, 0.02, 0.3, 1.0, 1.2, 5, realisations=4)
 
 

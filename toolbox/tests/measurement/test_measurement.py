@@ -56,7 +56,9 @@ def test_a_heater_and_the_air_are_no_noise():
         estimate, bare = measured_response(log), measured_response(log.drop_vars("disturbance"))
         assert covers(estimate, lags())
         assert np.median(estimate.radius() / bare.radius()) < 1 / 2
-        assert "the known heater, air, what" in str(estimate) and "known" not in str(bare)
+        assert "the known disturbances heater, air, other" in str(estimate) and "known" not in str(
+            bare
+        )
 
 
 def test_it_is_the_estimate_of_a_plant_with_more_inputs():
@@ -89,7 +91,7 @@ def test_a_disturbance_that_rests_in_each_trial_adds_nothing(value):
     twice = [rests, log.assign(disturbance=rest + 3)]
     assert same(measured_response(twice), measured_response([bare, bare]))
     some = measured_response(replaced(log, value))  # the air moves
-    assert "the known air, what" in str(some)
+    assert "the known disturbances air, other" in str(some)
 
 
 @pytest.mark.parametrize("m", [1, 2])
@@ -146,7 +148,7 @@ def test_the_columns_of_a_table_are_known_disturbances(tmp_path):
     with_heater = read_table(table, **asked, disturbances={"a heater": "Q"})
     save_log(with_heater, tmp_path / "log.csv")
     estimate = measured_response(load_log(tmp_path / "log.csv"))
-    assert "the known a heater, what" in str(estimate)
+    assert "the known disturbances a heater, other" in str(estimate)
     assert np.median(estimate.radius() / measured_response(read_table(table, **asked)).radius()) < 1
 
 

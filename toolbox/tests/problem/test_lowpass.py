@@ -26,7 +26,7 @@ def test_samples_are_splined_between_and_beyond_their_ends_as_there():
     ("Q", "message"),
     [
         (1.3 * SAMPLES, "Q has a gain of 1.3 at 0.00"),
-        (SAMPLES * np.exp(0.1j), "Q turns the phase by up to 0.1 rad"),
+        (SAMPLES * np.exp(0.1j), "Q shifts the phase by up to 0.1 rad"),
     ],
 )
 def test_what_is_no_low_pass_filter_is_refused(Q, message):

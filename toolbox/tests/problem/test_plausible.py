@@ -46,16 +46,16 @@ def test_a_design_warns_and_its_print_says_P_at_the_first_frequency():
     P, omega = frequency_response(PLANTS["stage"], GRID * 900 * np.pi), GRID * 450
     with pytest.warns(UserWarning, match=r"just below 1 / \(2 Ts\) = 500, .* pass 2 pi omega"):
         design = synthesise(P, zero_phase_butterworth(2, 20.0, 1e-3), omega)
-    assert "P is 1 at 0.45 rad/s, " in f"{design}"
+    assert "P is 1 at 0.45 rad/s; " in f"{design}"
 
 
 @pytest.mark.parametrize(
     "P, words",
     [
-        (-0.5 * PLANTS["tanks"], "diag(-0.5, -0.5, -0.5) at rest"),
+        (-0.5 * PLANTS["tanks"], "diag(-0.5, -0.5, -0.5) at zero frequency"),
         # C (I - A)^-1 B by hand: (I - A)^-1 = [[5, 5 / 3], [0, 10 / 3]]
-        (axes(), "diag(2.5, 3.15) at rest"),
-        (control.ss(0.9, 0.1, 1, -1, 1.0), "0 at rest"),  # 0.1 / (1 - 0.9) - 1, but for rounding
+        (axes(), "diag(2.5, 3.15) at zero frequency"),
+        (control.ss(0.9, 0.1, 1, -1, 1.0), "0 at zero frequency"),  # 0.1 / (1 - 0.9) - 1
         (control.frd([0.2j, 0.1], [1, 2], 1.0), "0.2 at 90 degrees at 1 rad/s"),
     ],
 )

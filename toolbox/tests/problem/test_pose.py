@@ -77,12 +77,12 @@ REFUSED = [  # arguments, and how the message begins
     ({"P": []}, "P = .* holds no plant"),
     ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
     ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, "P.B has 1 values"),
-    ({"uncertainty": np.full(60, -0.1)}, "uncertainty reaches -0.1"),
-    ({"Q": np.zeros(60), "objective": "peak"}, "Q has a gain of 0 at most"),
+    ({"uncertainty": np.full(60, -0.1)}, "uncertainty has the value -0.1"),
+    ({"Q": np.zeros(60), "objective": "peak"}, "Q has a gain of at most 0"),
     ({"order": 301}, "order = 301 is more than 300"),
     ({"band": (1e-4, 0.5)}, "band = .* within omega"),
     ({"band": (0.051, 0.052)}, "band = .* contains none"),
-    ({"reference": np.ones((9, 2))}, "reference takes .* band = .0.001, 0.1. and"),
+    ({"reference": np.ones((9, 2))}, "reference replaces .* band = .0.001, 0.1. and"),
     (OF_TASK | {"reference": np.zeros((9, 2))}, "reference leaves no error"),
 ]
 

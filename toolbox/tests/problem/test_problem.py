@@ -16,7 +16,8 @@ def test_what_was_chosen_and_what_is_assumed_is_said_and_singular_plants_are_cou
     np.testing.assert_array_equal(problem.singular_within_radius, omega > 1)
     chosen, *_, of_Q, lost = map(str, problem.assumptions)
     assert chosen.startswith("chosen: order = ") and "; band = (" in chosen
-    assert of_Q == f"assumed: Q is splined between its samples, and {Q[-1]:.4g} above the last"
+    between = "assumed: Q is interpolated by splines between its samples"
+    assert of_Q == f"{between}, and is {Q[-1]:.4g} above the last one"
     assert f"nothing can be learned at {np.sum(omega > 1)} frequencies from " in lost
 
 

@@ -101,7 +101,7 @@ def test_a_table_as_a_measured_response_says_the_same_below_its_lowest_line():
     at, radius = measured.on(below)
     np.testing.assert_allclose(at, region.P, rtol=1e-12)
     np.testing.assert_allclose(radius, region.widest, rtol=1e-12)
-    assert "below 4 rad/s P is within" in "\n".join(measured.basis(below))
+    assert "below 4 rad/s, P is within" in "\n".join(measured.basis(below))
 
 
 def test_a_table_too_coarse_to_show_the_real_part_counts_the_phase():

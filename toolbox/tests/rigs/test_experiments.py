@@ -70,10 +70,10 @@ REFUSED = [  # what is wrong, and what the error says
     ),
     ({"pause": -1}, "pause = -1"),
     ({"law": Law(Q10, None, 10)}, "rest = 10"),
-    ({"decimals": {"z": 3}}, "decimals is about"),
+    ({"decimals": {"z": 3}}, "decimals has the keys"),
     ({"decimals": {"u": 0.5}}, "decimals.*u.* = 0.5"),
-    ({"stop": {"z": (0, 1)}}, "stop is about"),
-    ({"stop": {"heat": (1, 0)}}, "stop.*lower and a"),
+    ({"stop": {"z": (0, 1)}}, "stop has the keys"),
+    ({"stop": {"heat": (1, 0)}}, "stop.*lower limit first"),
     ({"path": "\x1b"}, r"path = '.x1b' must be the path"),
     ({"path": "nowhere/log.csv"}, "path = .*nowhere.log.csv"),
     ({"path": "x", "law": Law(Q10, NormOptimal(control.ss(0.5, 1, 1, 0, 0.5), 1, 9))}, "L"),
@@ -111,7 +111,7 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
     """Sample by sample with the Controller, and from the matrices of the loop."""
     rig, loop, law, reference = experiment(*case)
     path, limited = tmp_path / "log.csv", replace(law, limits=rig.limits)
-    with pytest.warns(UserWarning, match="after trial 1: .* learned within") as seen:
+    with pytest.warns(UserWarning, match="after trial 1: .* learns v within") as seen:
         record(rig, loop, law, reference, trials=2, path=path)
     assert len(seen) == 1 and seen[0].filename == __file__
     log = record(rig, loop, law, reference, trials=4, path=path)
@@ -129,7 +129,7 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
         answer = control.forced_response(loop.P, inputs=(w * moves.sizes.inputs).T, squeeze=False)
         np.testing.assert_allclose(answer.outputs.T, y, atol=1e-4 * np.abs(y).max())
     replayed = replay(log)
-    assert "the recorded v is that of the law in every trial" in repr(replayed)
+    assert "the recorded v agrees with the law in every trial" in repr(replayed)
     assert not replayed.warnings and not replayed.omissions
     assert replayed.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
 
@@ -150,7 +150,7 @@ def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial
     cut_off = (log.u != log.applied).any(("trial", "time"))
     assert cut_off.values.all()  # at a limit of the law, and at one of the rig
     rig.limits = {"fan": (0, 1)}
-    with pytest.raises(ValueError, match=r"rig\.limits is about"):
+    with pytest.raises(ValueError, match=r"rig\.limits has the keys"):
         record(rig, loop, law, reference)
 
 

@@ -33,7 +33,7 @@ def foreground():
         signal.signal(number, handler)
 
 
-UNSAFE = "THE RIG MAY NOT BE SAFE: what should leave it safe has failed"
+UNSAFE = "THE RIG MAY NOT BE SAFE: the call that should leave it safe has failed"
 HEATED = """
 import gc, os, sys, threading, time
 import numpy as np

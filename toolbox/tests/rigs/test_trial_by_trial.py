@@ -51,7 +51,7 @@ def test_after_a_failure_the_rig_is_safe_its_trials_are_kept_and_the_next_call_g
         assert len(axis.sent) == sample + 1 and axis.sent[-1] == 0
         assert np.isfinite(axis.sent).all() and path.exists() == (ended > 0)
         if kind is not KeyboardInterrupt:
-            place = f"in trial {ended + 1}, sample {sample % SAMPLES + 1}; nothing was applied"
+            place = f"in trial {ended + 1}, sample {sample % SAMPLES + 1}. After it, only"
             note = error.value.__notes__[-1]
             assert place in note and str(path) in note
         if ended:
@@ -136,7 +136,7 @@ def test_another_experiment_does_not_go_on_with_the_log(changes, differing, tmp_
     task["loop"] = replace(TASK["loop"], disturbances=["wind"])
     record(**task | {"trials": 1})
     content, x = path.read_bytes(), axis.x
-    with pytest.raises(ValueError, match=f"another experiment, see its {differing}:"):
+    with pytest.raises(ValueError, match=f"another experiment, which differs in {differing}:"):
         record(**task | changes)
     assert path.read_bytes() == content and axis.x == x
 
@@ -146,7 +146,7 @@ def test_two_do_not_record_to_one_log(tmp_path):
     path, other = tmp_path / "log.csv", Axis()
 
     def begin(trial):
-        with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
+        with pytest.raises(RuntimeError, match=r"another process records to path"):
             record(other, **THREE, path=path)
 
     assert record(Axis(begin=begin), **THREE, path=path).sizes["trial"] == 3

@@ -93,7 +93,7 @@ def test_a_resonance_that_no_sample_shows_is_held():
 
 def test_where_rounds_do_not_suffice_it_says_what_may_help(loop, Q, monkeypatch):
     monkeypatch.setattr(everywhere, "ROUNDS", 1)
-    remedy = r"at some frequency\. .* take more frequencies, a shorter"
+    remedy = r"at every frequency\. .* take more frequencies, a shorter"
     with pytest.raises(SolverError, match=remedy):
         synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), everywhere=True, **PAPER)
 

@@ -145,7 +145,9 @@ def test_another_gain_of_P_is_noticed_in_trial_3(gain, moved, free):
     """After one of another task, which does not count. Of twice the gain e changes its sign."""
     plant, noise = gain * free[0].P, 0.02 * white(1, 4, 600, 1)
     tasks = np.outer([0.1, 1, 1, 1], free[2])[..., None]
-    with pytest.warns(UserWarning, match=f"trial 4 has .* trial [23];.* {moved} in outlet came"):
+    with pytest.warns(
+        UserWarning, match=f"trial 4 has .* trial [23],.* outlet changed by {moved} "
+    ):
         run_trials(*free[:2], tasks, None, 4, plant=plant, noise=noise)
     run_trials(*free, 2, plant=plant)  # in the first two the noise is not known
 
@@ -154,7 +156,7 @@ def test_an_error_that_creeps_away_from_the_best_is_noticed(free):
     """By 2 % in each trial, where P has the wrong sign: too little to show from the one before."""
     loop, law, *task = free
     case, noise = (loop, replace(law, gain=0.02), *task, 6), 0.02 * white(1, 6, 600, 1)
-    with pytest.warns(UserWarning, match=r"rate .*trial 3 has 1\.\d+ .* of trial 1;"):
+    with pytest.warns(UserWarning, match=r"rate .*trial 3 has 1\.\d+ .* of trial 1,"):
         run = run_trials(*case, plant=-loop.P, noise=noise)
     assert np.all(np.diff(rms(run.e).values) < 0.03 * rms(run.e).values[0])
     run_trials(*case, plant=loop.P, noise=noise)
@@ -175,7 +177,7 @@ def test_slow_convergence_is_noticed(noise, tank_law):
     model, noise = tanks(), noise * white(3, 9, 600, 3)
     weak = altered(model, B=[1, 1, 1, 0.3])
     case = tank_law.loop, tank_law, bump(600, LEVELS), None, 9
-    with pytest.warns(UserWarning, match=r"rate .* up to 0\.0.* right came") as caught:
+    with pytest.warns(UserWarning, match=r"rate .* up to 0\.0.* right changed by") as caught:
         run = run_trials(*case, plant=weak, noise=noise)
     assert len(caught) == 1 and rms(run.e).values[-1] < 0.1 * rms(run.e).values[0]
     run_trials(*case, plant=model, noise=noise)
@@ -276,12 +278,12 @@ def law_alone(request, tmp_path):
 
 def test_an_output_in_another_unit_than_the_reference_is_noticed(law_alone):
     """The reference in mm, y in m: learning would take hundreds of trials."""
-    with pytest.warns(UserWarning, match="is a signal in another unit") as seen:
+    with pytest.warns(UserWarning, match="Is a signal in another unit") as seen:
         record(axis(1e-3), LOOP, law_alone, REFERENCE, trials=4)
     [text] = [str(w.message) for w in seen]  # once, though trial 4 shows it, too
     assert seen[0].filename == __file__
     assert text.startswith("after trial 3: the convergence rate") and "even if P is wrong" in text
-    came = float(re.search(r"of the changes that this predicts, (\S+) in x came", text)[1])
+    came = float(re.search(r"x changed by (\S+) times the change", text)[1])
     assert came == pytest.approx(1e-3, rel=0.05)  # two digits, and noise
 
 

@@ -97,8 +97,8 @@ def test_a_rig_is_stopped_gone_on_with_and_replayed(tmp_path):
     read = load_log(path)
     np.testing.assert_array_equal(read.asked, whole.asked)
     assert_allclose(rms(read), rms(whole))
-    assert "the recorded v is that of the law in every trial" in str(replay(read))
-    with pytest.raises(ValueError, match="another experiment, see its L, points"):
+    assert "the recorded v agrees with the law in every trial" in str(replay(read))
+    with pytest.raises(ValueError, match="another experiment, which differs in L, points"):
         record(Rig(), loop, law, filled(r)[0], trials=5, path=path)
     save_law(tmp_path / "law.json", Law(ALL, NormOptimal(P, 1e-3, 60, errors=whole.asked)))
     v, e = whole.v[1].values, whole.e[1].values
@@ -133,7 +133,7 @@ def test_what_points_need_is_said():
     other = np.array([r, bump(40, [1.0])])
     with pytest.raises(ValueError, match="NaN at the same samples of all trials"):
         run_trials(loop, Law(ALL, L), other, trials=2)
-    with pytest.raises(ValueError, match=r"errors reach from 0 to 0, but"):
+    with pytest.raises(ValueError, match=r"errors range from 0 to 0, but"):
         NormOptimal(P, 0.01, 40, np.zeros(40))
     with pytest.raises(ValueError, match=r"errors has shape"):
         NormOptimal(P, 0.01, 40, np.ones(41))

@@ -22,7 +22,9 @@ def test_a_rig_is_waited_for_as_long_as_it_takes_and_no_longer():
     log = record(device, *trials)  # without a warning
     assert 5 < len(device.sent) - 2 * 40 < 80
     assert np.abs(log.y[1, 0] - log.y[0, 0]).max() < 0.03
-    with pytest.warns(UserWarning, match=r"after trial 2: it starts [\d.]+ in depth, .* in heat"):
+    with pytest.warns(
+        UserWarning, match=r"after trial 2: this trial starts [\d.]+ in depth, .* heat"
+    ):
         warm = record(ModelRig(boiler()), *trials, pause=0)
     assert np.abs(warm.y[1, 0] - warm.y[0, 0]).max() > 0.3
 
@@ -38,7 +40,7 @@ def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
 
     device, law = Leaking(boiler()), Law(zero_phase_butterworth(2, 0.1, 0.5), None)
     with pytest.warns(UserWarning, match="before trial 2 .* after 80 samples"):
-        warnings.filterwarnings("ignore", "after trial 2: it starts")
+        warnings.filterwarnings("ignore", "after trial 2: this trial starts")
         record(device, loop, law, bump(40, [1.0, 1.0]), trials=2)
     assert len(device.sent) == 2 * 40 + 80
 
@@ -54,5 +56,5 @@ def test_noise_is_no_other_start(seed):
     assert start.missed(other) == ""
     assert start.near(other[0], reference[0])
     moved = other + np.array([0, 0.1 + 30 * noise[1]])
-    assert " in b (K) from where" in start.missed(moved)
+    assert " in b (K) away from where" in start.missed(moved)
     assert not start.near(moved[0], reference[0])

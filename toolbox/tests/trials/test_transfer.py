@@ -173,7 +173,7 @@ def test_trials_that_differ_by_noise_alone_leave_v_uncertain():
     task = ClosedLoop(coupled()[0]), Law(Q, None), OLD
     noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 1, 200, 2))
     trials = [run_trials(*task, trials=1, noise=white) for white in noise]
-    with pytest.warns(UserWarning, match="may be off by") as seen:
+    with pytest.warns(UserWarning, match="may be wrong by") as seen:
         assert len(repr(transfer(trials, -OLD))) < 200
     assert len(seen) == 2  # one for each output
 
@@ -215,7 +215,7 @@ def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
     assert not predicted.v[:, -4:].any()
     assert rms(predicted)[1] < 8e-3 < 0.1 * min(rms(predicted)[0], rms(kept)[1])
     assert rms(predicted)[2:].max() < 3e-3 * np.sqrt(p) < rms(kept)[2:].max()
-    assert "the recorded v is that of the law in every trial" in str(replayed)
+    assert "the recorded v agrees with the law in every trial" in str(replayed)
 
 
 def with_gains(P, gains):

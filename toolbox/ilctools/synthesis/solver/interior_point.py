@@ -283,11 +283,11 @@ def ruled_out(p, objective):
 class Outcome(Enum):
     """Reasons why the central path was left."""
 
-    OPTIMAL = "the gap is closed"
+    OPTIMAL = "the duality gap is closed"
     ENOUGH = "the objective is low enough"
-    STAGNANT = "the gap does not get smaller"
+    STAGNANT = "the duality gap does not get smaller"
     INFEASIBLE = "no filter meets the bounds"
-    ROUNDING = "rounding spoils the direction"
+    ROUNDING = "rounding spoils the search direction"
     SHORT = "the steps became too short"
     MANY = "too many steps"
 
@@ -343,7 +343,7 @@ def minimise(program: Program) -> Optimum:
     if best is None:
         best, outcome = follow(begin(program, phase_one(program, zero).x))
     if best is None:
-        raise RuntimeError(f"no filter met the bounds: {outcome.value}")
+        raise RuntimeError(f"the solver found no filter that meets the bounds: {outcome.value}")
     if program.shared and best.t[0] > program.most:
         raise Infeasible("the bounds cannot be met")
     return optimum(best)
@@ -353,12 +353,14 @@ def phase_one(program, x) -> Point:
     """Find a point that meets the bounds, by minimising the largest value."""
     nearest, outcome = follow(begin(program.minimax(), x), enough=program.most)
     if nearest is None:
-        raise RuntimeError(f"no point to start from: {outcome.value}")
+        raise RuntimeError(f"the solver found no filter to begin with: {outcome.value}")
     if nearest.t[0] < program.most:
         return nearest
     if ruled_out(nearest, (1 - NEARLY_PROVEN) * program.most):
         raise Infeasible("the bounds cannot be met")
-    raise RuntimeError(f"the bounds were neither met nor ruled out: {outcome.value}")
+    raise RuntimeError(
+        f"the solver could neither meet the bounds nor rule them out: {outcome.value}"
+    )
 
 
 def optimum(p):

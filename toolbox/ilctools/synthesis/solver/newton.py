@@ -108,7 +108,7 @@ class NewtonSystem:
         tt = sum(block.tt for block in self.blocks) + (barrier[0] if program.shared else 1)
         H = np.block([[np.array([[tt]]), tL[None]], [tL[:, None], self._of_x()]])
         if not np.isfinite(H).all() or np.diag(H).max() <= 0:
-            raise np.linalg.LinAlgError("the bounds leave less room than rounding takes")
+            raise np.linalg.LinAlgError("rounding is larger than the room that the bounds leave")
         self.scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
         self.factor = factorised(self.scale[:, None] * H * self.scale)
 
