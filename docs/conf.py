@@ -40,17 +40,10 @@ autodoc_member_order = "bysource"
 default_role = "code"  # of what stands in single backticks
 suppress_warnings = ["ref.python"]  # two classes with a field of one name
 html_theme = "sphinx_book_theme"
-html_css_files, html_js_files = ["pages.css"], ["trials.js"]
+html_theme_options = {"navbar_persistent": []}  # the field to search is in the sidebar
+html_css_files, html_js_files = ["pages.css"], ["tables.js", "trials.js"]
 html_static_path = html_css_files + html_js_files
 html_copy_source = False
-
-# The theme listens to the first button for each sidebar, which it hides, and shows another one.
-MENUS = """addEventListener("DOMContentLoaded", () => {
-  for (const side of ["primary", "secondary"]) {
-    const [heard, ...shown] = document.querySelectorAll(`button.${side}-toggle`);
-    for (const button of shown) button.addEventListener("click", () => heard.click());
-  }
-});"""
 
 
 def fold(app, docname, source):
@@ -113,7 +106,6 @@ def draw_trials(app, exception):
 def setup(app):
     """Draw formulas as SVG, since some browsers load no fonts for a page that is a file."""
     app.config.mathjax_path = "mathjax/tex-svg.js"
-    app.add_js_file(None, body=MENUS)
     app.connect("source-read", fold)
     app.connect("source-read", lead_to_anchors)
     app.connect("autodoc-process-docstring", escape_bars)

@@ -19,6 +19,6 @@ addEventListener("DOMContentLoaded", () => {
   }, {once: true});
   const bar = Object.assign(document.createElement("div"), {className: "trials"});
   bar.append(slider, label);
-  figure.after(bar);
+  (figure.closest("a") ?? figure).after(bar);  // within the link, a click on the slider follows it
   show();
 });

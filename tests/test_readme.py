@@ -9,7 +9,7 @@ from books import ROWS, code
 from documented import examples
 
 from rodlib.paper.comparison import same_picture
-from rodlib.paper.ledger import DIFFERS, IN_WORDS, KINDS, REPRODUCED, UNCHECKED
+from rodlib.paper.ledger import COUNTED, DIFFERS, IN_WORDS, REPRODUCED, UNCHECKED
 from rodlib.paper.repository import ROOT
 
 README = (ROOT / "README.md").read_text("utf-8")
@@ -51,8 +51,9 @@ def test_what_it_says_first_is_what_the_ledger_counts():
         verdicts = ROWS.verdict[ROWS.kind == name]
         differ = [*ROWS.key[verdicts.index[verdicts == DIFFERS]]]
         agree = (verdicts == REPRODUCED).sum()
-        assert f"{KINDS[name]}: {agree} of {agree + len(differ)} agree" in line
+        assert line.startswith(f"- {agree} of {agree + len(differ)} {COUNTED[name]} agree.")
         assert re.findall("`([^`]+)`", line) == (differ if name != "coefficient" else [])
     vague = (ROWS.verdict[ROWS.kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
     unchecked = (ROWS.verdict == UNCHECKED).sum()
-    assert f"choices of ours: {vague}; cannot be checked: {unchecked}" in said[5]
+    assert said[5].startswith(f"- {vague} statements are too vague")
+    assert said[6] == f"- {unchecked} statements cannot be checked."

@@ -64,7 +64,13 @@ LEAST_SHOWN = 1e-9  # smaller numbers are rounding, and differ between machines
 BELOW_LEAST = f"below {LEAST_SHOWN:g}"
 SIGNIFICANT = 5  # digits, for a number that tests a statement in words
 TABLE = ["claim", "printed", "computed", "deviation", "verdict"]  # columns that a notebook shows
-COUNTED = ("printed", "derived", "coefficient", "statement", "assumed")  # could have differed
+COUNTED = {  # what could have differed, as the README says it
+    "printed": "printed numbers",
+    "derived": "invariants of the 40 printed entries of the feedback gains",
+    "coefficient": "coefficients of the flat optimum of (39)",
+    "statement": "statements about the model and the design",
+    "assumed": "statements about assumed signals or rigs",
+}
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
     "key", "place", "claim", "printed", "computed", "tolerance", "deviation", "verdict", "kind",
@@ -202,15 +208,16 @@ def read(path):
 def summary(rows: pd.DataFrame) -> str:
     """Return the README's text: how many claims that could differ agree, and which do not."""
     counts, lines = counted(rows), []
-    for name in COUNTED:
+    for name, what in COUNTED.items():
         agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]
         keys = rows.key[(rows.kind == name) & (rows.verdict == DIFFERS)]
         linked = "[`{0}`](figures/ledger.md#{0})".format
         names = ", ".join(map(linked, keys)) if name != "coefficient" else ""
-        which = f", not {names}" if names else ""
-        lines.append(f"- {KINDS[name]}: {agree} of {agree + differ} agree{which}\n")
+        which = f" These do not agree: {names}." if names else ""
+        lines.append(f"- {agree} of {agree + differ} {what} agree.{which}\n")
     vague, unchecked = counts[IN_WORDS].drop("misprint").sum(), counts[UNCHECKED].sum()
-    last = f"- too vague, or hanging on choices of ours: {vague}; cannot be checked: {unchecked}\n"
+    last = f"- {vague} statements are too vague for a verdict, or depend on a choice of ours.\n"
+    last += f"- {unchecked} statements cannot be checked.\n"
     if other := sum(rows.verdict == OTHER):
         last += f"- {OTHER}, and so not judged: {other}\n"
     return "".join([*lines, last])

@@ -151,7 +151,7 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     rows.loc[0, "verdict"] = OTHER
     assert ledger.summary(rows).endswith(f"{OTHER}, and so not judged: 1\n")
     readme = (root / "README.md").read_text()
-    assert readme.startswith("before\n<!-- ledger -->\n- printed numbers: ")
+    assert re.match(r"before\n<!-- ledger -->\n- \d+ of \d+ printed numbers agree", readme)
     assert readme.endswith("-->\nafter\n") and "`N[1,1]`" in readme
 
 
