@@ -1,7 +1,8 @@
-"""The certificate of a learning filter: what is known about it, independent of the solver.
+"""The certificate of a learning filter: what is known about the filter without the solver.
 
-:func:`check` evaluates a filter on all plants of a problem. The problem is the one of its design,
-or another one. :func:`certify` also finds how far the filter is from the optimum of its design.
+:func:`check` evaluates a filter on all plants of a problem. The filter may have been designed for
+this problem or for another problem. :func:`certify` also computes how far the filter is from the
+optimum of its design problem.
 """
 
 from dataclasses import dataclass
@@ -34,35 +35,42 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.problem.reference import predicted_rms
 from ilctools.singular_values import largest_singular_values
 
-# Relative duality gap, and relative violation of a bound on the grid, that are accepted
+# Largest relative duality gap, and largest relative violation of a bound on the grid, that pass
 GAP_ACCEPTED = 1e-6
 VIOLATION_ACCEPTED = 1e-9
-BELOW_ONE = np.nextafter(1, 0)  # trials with a rate of one are not monotone
-# Share of 1 - M_max by which M may exceed its bound between the frequencies without a warning.
-# For samples, the share is taken of 1 - sigma_max(M) at the frequencies.
+BELOW_ONE = np.nextafter(1, 0)  # with a rate of one, the error need not decrease in each trial
+# Share of 1 - M_max by which sigma_max(M) may exceed M_max between the frequencies of omega without
+# a warning. If P is known by samples, the largest sigma_max(M) on the grid replaces M_max.
 ROOM_PASSED = 0.25
-FREQUENCIES_OF_MEAN = 2000  # frequencies of the mean over the band
-# The weakest direction of P, as a share of the strongest, at frequencies up to the cut-off. Below
-# this share, the weakest may be a difference of two sensors that are nearly the same.
+FREQUENCIES_OF_MEAN = 2000  # for the mean of sigma_max(M) over the band
+# Ratio of the smallest to the largest singular value of P, at frequencies up to the cut-off. If the
+# ratio is below this number, the weakest direction may be the difference between two sensors that
+# measure nearly the same signal.
 ALIKE = 3e-3
-IDLE_FROM = 0.9  # remaining share of the error in the band, above which learning counts as idle
+# share of the error in the band that remains: above this share, learning counts as idle
+IDLE_FROM = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is known about a learning filter, by evidence independent of the solver.
+    """What is known about a learning filter, by evidence that does not come from the solver.
 
-    A certificate prints what a user asks first. :attr:`details` has the numbers behind this text.
+    Print a certificate to see the rate, the margins and the gains. :attr:`details` has the numbers
+    behind this text. The certificate uses M = Q (I - P L), the map of the error from one trial to
+    the next. The grid consists of the design frequencies omega and all other
+    frequencies at which the solver needed bounds.
     """
 
-    problem: Problem  # as stated
-    problem_on_grid: Problem  # at all frequencies at which bounds were needed
-    scaled_filter: Filter  # in units of scale, as P is
-    value: float  # the objective reached
-    worst: WorstCase  # over all plants and the radius, at each frequency of the grid
-    peaks: dict[str, Peak]  # highest sigma_max(M), by the way it is known, see peaks_of_M
+    problem: Problem  # as the user stated it
+    problem_on_grid: Problem  # the problem at all frequencies at which the solver needed bounds
+    scaled_filter: Filter  # L in units of `scale`, see :mod:`ilctools.response.scale`
+    value: float  # of the objective
+    worst: WorstCase  # sigma_max(M) on the grid, the largest over all plants and the radius
+    # highest sigma_max(M), by the way in which it is known, see :func:`.peaks_of_M`
+    peaks: dict[str, Peak]
     sigma_L: np.ndarray  # sigma_max(L) at each frequency of the grid
-    lower_bound: float = np.nan  # of the objective, for all such filters within the bounds
+    # of the objective, for all filters of this structure and order that meet the bounds
+    lower_bound: float = np.nan
 
     @property
     def grid_M(self) -> float:
@@ -70,13 +78,13 @@ class Certificate:
         return self.peaks["on the grid"].sigma
 
     def on_grid(self, claim: Claim) -> float:
-        """Return the largest value on the grid of what a claim bounds."""
+        """Return the largest value on the grid of the sigma_max that a claim bounds."""
         if claim.matrix == "M":
             return self.grid_M
         return float(self.sigma_L[claim.holds_at(self.problem_on_grid.omega)].max(initial=0))
 
     def anywhere(self, claim: Claim) -> float:
-        """Return the largest value over all frequencies of what a claim bounds."""
+        """Return the largest value over all frequencies of the sigma_max that a claim bounds."""
         if claim.matrix == "M":
             return self.all_M
         return peak_of_L(self.scaled_filter, claim.lowest)[0] if claim.lowest else self.all_L
@@ -91,17 +99,23 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """An upper bound on sigma_max(M), to PEAK_TOLERANCE; an estimate if not proven."""
+        """An upper bound on sigma_max(M) over all frequencies; an estimate if not `proven`.
+
+        A proven bound exceeds the peak by a relative PEAK_TOLERANCE at most.
+        """
         return self.peak.sigma
 
     @cached_property
     def all_L(self) -> float:
-        """An upper bound on sigma_max(L) over all frequencies, to PEAK_TOLERANCE."""
+        """An upper bound on sigma_max(L) over all frequencies.
+
+        The bound exceeds the peak by a relative PEAK_TOLERANCE at most.
+        """
         return peak_of_L(self.scaled_filter)[0]
 
     @property
     def proven(self) -> bool:
-        """Whether `all_M` is proven. With samples or a radius, it comes from a dense grid."""
+        """Whether `all_M` is proven. For samples or a radius, a dense grid gives an estimate."""
         return "estimated" not in self.peaks
 
     @property
@@ -118,15 +132,17 @@ class Certificate:
     def convergence(self) -> Convergence:
         """Whether and how fast the trials converge on the worst of all plants.
 
-        The spectral radius is computed for the plants themselves, without their radius. Its
-        frequencies are those of the problem, the peaks and a dense grid.
+        The spectral radius of M is computed for the plants themselves, without the radius around
+        each plant. Its frequencies are the frequencies of the problem, of the peaks and of a dense
+        grid.
         """
         problem = self.problem
         peaks, plants = [peak.omega for peak in self.peaks.values()], range(len(problem.plants))
         grids = [dense_grid(problem.response, k, self.scaled_filter) for k in plants]
         omega = np.concatenate([problem.omega, peaks, *grids])
         own = self._at(omega, plants)
-        # the eigenvalues do not include what splines may miss, nor what is assumed beyond
+        # the eigenvalues contain neither the error of the splines nor what is assumed about P
+        # outside its samples
         least = {
             "estimated": max(1, own.sigma.max() * (1 + PEAK_TOLERANCE)),
             "assumed": 1,
@@ -145,7 +161,7 @@ class Certificate:
         )
 
     def _at(self, omega, plants):
-        """The convergence for some plants, given by number, at any frequencies."""
+        """Compute the convergence of the plants with these numbers at any frequencies."""
         problem = self.problem
         P = np.array([problem.response.anywhere(k, omega)[0] for k in plants])
         Q, L = (f.frequency_response(omega) for f in (problem.lowpass, self.scaled_filter))
@@ -155,12 +171,12 @@ class Certificate:
     def mean_M(self) -> float:
         """Mean of sigma_max(M) for the nominal plant, see :meth:`.Convergence.mean`.
 
-        The mean is NaN without a band.
+        The mean is NaN if the objective has no band of frequencies.
         """
         band, omega = self.problem.objective.band, self.problem.omega
         if band is None or band[0] <= 0:
             return np.nan
-        if self.problem.proven:  # trapezia between coarse frequencies are not enough
+        if self.problem.proven:  # trapezia over coarse frequencies are inaccurate
             omega = np.union1d(omega, np.geomspace(*band, FREQUENCIES_OF_MEAN))
         return float(log_mean(self._at(omega, [0]).sigma[0], omega, band))
 
@@ -171,9 +187,9 @@ class Certificate:
 
     @cached_property
     def predicted(self) -> dict[int, float] | None:
-        """Predicted RMS of the error by trial, see :func:`.predicted_rms`.
+        """Predicted RMS of the error in each trial, see :func:`.predicted_rms`.
 
-        None without a reference.
+        The prediction is None if the problem has no reference.
         """
         return (
             None if self.problem.objective.band else predicted_rms(self.problem, self.scaled_filter)
@@ -181,17 +197,17 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Distance from the lower bound to the value, relative to :meth:`.Problem.gap_scale`."""
+        """Difference between value and lower bound, relative to :meth:`.Problem.gap_scale`."""
         return (self.value - self.lower_bound) / self.problem_on_grid.gap_scale(self.value)
 
     @property
     def failures(self) -> list[Finding]:
-        """The claims that do not hold; empty if all hold."""
+        """The claims that do not hold, as findings; the list is empty if all claims hold."""
         problem = self.problem
         rooms = {"on the grid": 1 + VIOLATION_ACCEPTED}
         if problem.bounds.everywhere:
             rooms["everywhere"] = 1 + PEAK_TOLERANCE
-        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # (times the limit allowed, finding)
+        judged = [(1, Finding("gap", self.gap, GAP_ACCEPTED))]  # (factor on the limit, finding)
         for code, room in rooms.items():
             judged += [(room, self._judged(code, claim)) for claim in problem.bounds.claims]
         codes = {"proven": "one or more"} | ({} if problem.findings else {"assumed": "beyond"})
@@ -201,7 +217,7 @@ class Certificate:
         return [found for times, found in judged if found.value > found.limit * times]
 
     def _judged(self, code, claim) -> Finding:
-        """A claim with the largest value of what it bounds, on the grid or everywhere."""
+        """Compare a claim with the largest value on the grid, or at all frequencies."""
         value = self.on_grid(claim) if code == "on the grid" else self.anywhere(claim)
         place = ""
         if claim.matrix == "M":
@@ -210,7 +226,7 @@ class Certificate:
 
     @property
     def warnings(self) -> list[Finding]:
-        """The findings against the problem, and against the bounds between the samples."""
+        """The findings against the problem, and against the bounds between the frequencies."""
         problem, response, peak = self.problem, self.problem.response, self.peak
         found = [*problem.findings, *problem.costs, *_alike(problem), *doubts(response)]
         below = self.peaks.get(BELOW)
@@ -226,13 +242,13 @@ class Certificate:
         return found
 
     def place(self, peak):
-        """Say in words where a peak is, and to which plant it belongs."""
+        """Say in words at which frequency a peak is, and to which plant the peak belongs."""
         of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
         return f"{of_plant}{peak.omega:.4g} rad/s"
 
     @cached_property
     def settled_trial(self) -> SettledTrial:
-        """A long trial, and its largest norm over the plants; NaN unless P and Q are models."""
+        """The largest norm of a long trial among the plants; NaN unless P and Q are models."""
         problem = self.problem
         if problem.response.sampled or isinstance(problem.lowpass, SampledQ):
             return SettledTrial(0, np.nan)
@@ -245,33 +261,36 @@ class Certificate:
     def details(self) -> str:
         """A table of the numbers behind the certificate, and the assumptions.
 
-        The numbers have as many digits as all processors agree on. The peaks of sigma_max(M) are
-        for all plants within the radius. A peak is one of these:
+        The numbers are printed with so many digits that all processors give the same text. The
+        peaks of sigma_max(M) are for all plants within the radius. A peak is known in one of these
+        ways:
 
-        - *on the grid*, which contains omega and all other frequencies that needed bounds;
-        - *proven* at all frequencies, for the plants that are models, without the radius;
-        - *where P passes nothing*: proven as well, but M is |Q| there for any L;
-        - *estimated* on a dense grid, from the first to the last frequency of omega;
-        - *assumed* below the first sample and above the last one.
+        - *on the grid*: the grid contains omega and all other frequencies that needed bounds;
+        - *proven*: the peak holds at all frequencies, for plants that are models, without a radius;
+        - *where P passes nothing*: the peak is proven, too, but M is |Q| there for any L;
+        - *estimated*: from a dense grid between the first and the last frequency of omega;
+        - *assumed*: below the first sample of P, or above the last sample.
 
-        Nothing is known of resonances that no sample shows.
+        A resonance that no sample shows is not taken into account.
 
         The lower bound of the objective holds for any filter of this structure and order that
-        keeps the bounds on the grid. The limits on the grid are lower than the stated ones, to
-        cover the frequencies between and above. With `base`, the lower bound holds for any K with
-        this B and a gain of at most `K_MAX`. Without L_max, it holds up to a gain of `MOST_GAIN` of
-        Q P L, see :mod:`.problem.problem`. The lower bound is NaN if nothing was optimised.
+        keeps the bounds on the grid. The limits on the grid are lower than the stated limits, so
+        that the stated limits also hold between the frequencies of the grid and above them. If
+        L = B K with the `base` B, the lower bound holds for this B and any K with a gain of at most
+        `K_MAX`. Without L_max, the lower bound holds for all L with which the gain of Q P L is at
+        most `MOST_GAIN`, see :mod:`.problem.problem`. The lower bound is NaN if nothing was
+        optimised.
         """
         return report.details(self)
 
     @property
     def rate_above(self) -> float:
-        """The rate without what is assumed below the first sample."""
+        """The rate without the peaks that are assumed below the first sample of P."""
         return self._highest_without(BELOW).sigma
 
 
 def _alike(problem):
-    """Find out if a direction of P is far weaker than another at all omega up to the cut-off."""
+    """Yield a finding if a direction of P is far weaker than another up to the cut-off."""
     cutoff = problem.lowpass.cutoff
     below = problem.omega <= max(cutoff, problem.omega[0])
     values = np.linalg.svd(problem.P[below], compute_uv=False)
@@ -285,7 +304,8 @@ def check(
 ) -> Certificate:
     """Evaluate a learning filter, in units of `scale`, on the plants of a problem.
 
-    `grid` is the same problem at further frequencies, too. Default: the problem itself.
+    `grid` is the same problem with additional frequencies. Default: the problem itself.
+    `lower_bound` is a lower bound on the objective, if one is known.
     """
     grid = grid or problem
     response, worst = L.frequency_response(grid.omega), worst_case(grid, L)
@@ -303,6 +323,6 @@ def check(
 
 
 def certify(problem: Problem, grid: Problem, solution: Solution) -> Certificate:
-    """Certify the filter of a solution without trusting anything else in the solution."""
+    """Certify the filter of a solution; its multipliers only give the lower bound."""
     bound = lower_bound(grid, solution.U, solution.V, solution.cuts)
     return check(problem, problem.scaled_filter(solution.coefficients), grid, bound)

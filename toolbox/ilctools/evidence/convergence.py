@@ -1,9 +1,10 @@
 """Do the trials converge, and how fast? Two numbers of M = Q (I - P L), on a grid.
 
-The largest sigma_max(M) is the gamma of Lemma 1. If gamma is below one, the error converges
-*monotonically*: each trial reduces it at least by the factor gamma. The largest spectral radius of
-M never exceeds gamma. If the spectral radius is below one, the error *converges*, but it may grow
-in the first trials. Both numbers hold for trials without ends.
+M maps the error of one trial to the error of the next trial. Its largest sigma_max over the
+frequencies is the gamma of Lemma 1 of the paper. If gamma is below one, the error converges
+*monotonically*: each trial reduces the error at least by the factor gamma. The largest spectral
+radius of M never exceeds gamma. If the spectral radius is below one, the error *converges*, but the
+error may grow in the first trials. Both numbers hold for trials of infinite length, without ends.
 """
 
 from dataclasses import dataclass
@@ -21,25 +22,26 @@ from ilctools.singular_values import largest_singular_values, tied
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """How fast the trials converge, by M = Q (I - P L), as :func:`convergence` computes it.
+    """How fast the trials converge: singular values and eigenvalues of M = Q (I - P L).
 
-    For p plants, `sigma` has the shape (p, n), and `rate`, `at` and `spectral_radius` have the
-    shape (p,). The result of :meth:`.Synthesis.check` is for the worst of all plants, and also
-    between the frequencies.
+    :func:`convergence` returns this result. For a list of p plants, `sigma` has the shape (p, n),
+    and `rate`, `at` and `spectral_radius` have the shape (p,). :meth:`.Synthesis.check` returns the
+    result for the worst of all plants, whose rate also holds between the frequencies.
     """
 
     omega: np.ndarray  # (n,), rad/s
-    sigma: np.ndarray  # (n,): sigma_max(M), a bound on what one trial leaves of the error there
+    sigma: np.ndarray  # (n,): sigma_max(M), the largest share of the error that one trial leaves
     rate: float  # the gamma of Lemma 1: the largest sigma
     at: float  # the frequency of the rate, rad/s; the lowest if several are tied
     spectral_radius: float  # largest |eigenvalue of M|
     proven: bool = False  # whether the rate holds at all frequencies
-    uncertain: bool = False  # whether the true P may differ, so that the trials diverge
-    assumptions: tuple[str, ...] = ()  # of P and its radius
+    # whether the true P may differ so much from the given P that the trials diverge
+    uncertain: bool = False
+    assumptions: tuple[str, ...] = ()  # on P and its radius, in words
 
     @property
     def monotone(self) -> bool:
-        """Whether every trial brings the error nearer to its limit (Lemma 1)."""
+        """Whether every trial brings the error nearer to its limit, by Lemma 1 of the paper."""
         return bool(np.max(self.rate) < 1)
 
     @property
@@ -50,10 +52,10 @@ class Convergence:
     def mean(self, band=None) -> float:
         """Mean of sigma_max(M) over the logarithm of frequency, in a band (low, high) in rad/s.
 
-        The mean is the sum in (39) on a logarithmic grid, divided by the number of its terms.
-        Designs on different grids can therefore be compared. The integral uses trapezia with
-        corners at `omega` and at the ends of the band. Default: from the first to the last
-        frequency.
+        On a logarithmic grid, the mean is the sum in (39) of the paper, divided by the number of
+        its terms. Means can therefore be compared between designs on different grids. The integral
+        is computed by trapezia with corners at `omega` and at the ends of the band. Default: from
+        the first to the last frequency of `omega`.
         """
         omega = self.omega
         band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))
@@ -85,9 +87,10 @@ class Convergence:
 
 
 def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
-    """Find out how fast the error converges from trial to trial: M = Q (I - P L) on a grid.
+    """Find out how fast the error converges from trial to trial, by M = Q (I - P L) on a grid.
 
-    With fewer inputs than outputs, the result is how fast v converges: M = Q (I - L P).
+    M maps the error of one trial to the error of the next trial. If P has fewer inputs than
+    outputs, the result says how fast the ILC signal v converges, by M = Q (I - L P).
 
     Parameters
     ----------
@@ -95,6 +98,7 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
         As for :func:`ilctools.synthesise`. An array of shape (plants, n, p, m) is also accepted as
         several plants.
     Q : ZeroPhaseButterworth or array_like, shape (n,)
+        The low-pass filter Q, or its samples on `omega`.
     L : LearningOperator
         The learning filter.
     omega : array_like, shape (n,), optional
@@ -104,9 +108,9 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     Returns
     -------
     Convergence
-        If `rate`, the gamma of Lemma 1, is below one, the error converges monotonically. If
-        `spectral_radius` is below one, the error converges, but may grow before. For one channel,
-        the two numbers are equal.
+        If `rate`, the gamma of Lemma 1 of the paper, is below one, the error converges
+        monotonically. If `spectral_radius` is below one, the error converges, but may grow in the
+        first trials. For one channel, the two numbers are equal.
 
     See Also
     --------
@@ -137,7 +141,7 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
 
 
 def from_responses(omega, P, Q, L) -> Convergence:
-    """Do as :func:`convergence`, from frequency responses.
+    """Compute the result of :func:`convergence` from the frequency responses of P, Q and L.
 
     P has the shape (n, p, m) or (plants, n, p, m).
     """
@@ -154,7 +158,7 @@ def from_responses(omega, P, Q, L) -> Convergence:
 
 
 def log_mean(sigma, omega, band) -> float:
-    """Return the mean over the logarithm of frequency, in the band, of sigma at `omega`."""
+    """Return the mean of sigma, given at `omega`, over the logarithm of frequency in a band."""
     low, high = band
     within = omega[(omega > low) & (omega < high)]
     place = np.log([low, *within, high])

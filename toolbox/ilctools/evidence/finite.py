@@ -1,6 +1,7 @@
 """Do finite trials converge? The norm of the map from one trial to the next, with both ends.
 
-Lemma 1 holds for signals without ends. Here the two ends of a trial are included.
+Lemma 1 of the paper holds for signals of infinite length. This module includes the effects of the
+beginning and of the end of a trial.
 """
 
 from functools import lru_cache
@@ -17,14 +18,14 @@ from ilctools.models import Model, impulse_response, sampled_plant
 from ilctools.norm_optimal import NormOptimal
 from ilctools.signals import check_match
 
-SETTLED = 0.02  # share of a disturbance that is left when a plant has settled
+SETTLED = 0.02  # share of the response to a disturbance that remains when a plant has settled
 SHORTEST_TRIAL, LONGEST_TRIAL = (50, 1000)  # samples; longer trials of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
-# Lanczos rounds, of LANCZOS products each, before the SVD of a matrix of up to DENSE rows replaces
-# Lanczos. The SVD takes no longer, and is needed if many directions grow alike. Directions that a
-# long delay leaves alone do so.
+# After so many Lanczos rounds, of LANCZOS products each, the SVD replaces the iteration, if the
+# matrix has up to DENSE rows. The SVD takes no longer. The SVD is needed if many directions have
+# the same gain, such as the directions that a long delay keeps the plant from answering.
 ROUNDS, DENSE = 60, 1000
-MOST_REACHED = 4000  # numbers in v, for which a basis takes 10 s
+MOST_REACHED = 4000  # most numbers in v, for which the basis in learned_basis takes 10 s
 RANK_TOLERANCE = 1e-10  # of the largest singular value of Q_N L_N: smaller values are rounding
 
 
@@ -38,9 +39,10 @@ def trial_operators(
     P : control.StateSpace
         Model in discrete time, from v (m inputs) to y (p outputs). A trial starts at rest.
     Q, L : ZeroPhaseButterworth, LearningFilter
-        Filters, which act as in :class:`ilctools.Law`, with their own `ends`.
+        Filters, which act as in :class:`ilctools.Law`. The attribute `ends` of each filter says
+        which values the filter takes beyond the ends of a trial.
     samples : int
-        Length of the trial.
+        Number of samples in the trial.
 
     Returns
     -------
@@ -48,8 +50,8 @@ def trial_operators(
         Operators on raveled signals of shape (samples, m) or (samples, p). P_N has the shape
         (samples p, samples m), Q_N has (samples m, samples m), and L_N has (samples m, samples p).
         P_N is a lower triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is
-        "zero". If an end is held, the effect of the samples beyond this end is added to the first
-        or last block column.
+        "zero". If `ends` holds the value at an end, the effect of the samples beyond this end is
+        added to the first or last block column.
 
     See Also
     --------
@@ -74,7 +76,7 @@ def trial_operators(
     samples = arguments.whole("samples", samples, 1)
 
     h = np.moveaxis(impulse_response(P, samples), 0, -1)
-    from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # P as a filter, looking back
+    from_rest = LearningFilter(h[..., ::-1], L.Ts, first=1 - samples)  # P as a filter of the past
     return (
         _on_trial(from_rest, samples, made=p, taken=m),
         _on_trial(Q, samples, made=m, taken=m),
@@ -87,18 +89,21 @@ def trial_map(
 ) -> sparse.LinearOperator:
     """Return T = Q_N (I - L_N P_N), the map from v_k - v_inf to v_{k+1} - v_inf in a finite trial.
 
-    P_N, Q_N, L_N are matrices on a trial of N samples ("lifted"): D. A. Bristow, M. Tharayil and
-    A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (2006).
+    Here v_k is the ILC signal of trial k, and v_inf is its limit after many trials. P_N, Q_N, L_N
+    are the matrices of P, Q and L on a trial of N samples, also called "lifted": D. A. Bristow,
+    M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems
+    Magazine 26 (2006).
 
-    Without limits, v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf) hold
-    exactly. With a learning gain a, the map is (1 - a) I + a T. The parameters are as for
-    :func:`trial_operators`. In the last `rest` samples of each trial, v is held at zero.
+    If no actuator saturates, v_{k+1} - v_inf = T (v_k - v_inf) and
+    e_k - e_inf = -P_N (v_k - v_inf) hold exactly. With a learning gain a, the map is
+    (1 - a) I + a T. The parameters are as for :func:`trial_operators`. In the last `rest` samples
+    of each trial, v is held at zero.
 
-    No map exists for the error alone. P has a delay, so that P_N maps the last sample of v to
-    zero. A zero z of P outside the unit circle gives an exponential z^p, which lives at the end of
-    the trial. P_N maps this exponential to next to nothing, and Q_N then moves it to where it
-    shows. M = P Q (P^-1 - L) of (35) therefore does not hold for a finite trial, and
-    Q_N (I - P_N L_N) is not the operator of any trial.
+    No such map exists for the error alone. P has a delay, so that P_N maps the last sample of v to
+    zero. For a zero z of P outside the unit circle, the signal z^p is an exponential that is large
+    only at the end of the trial. P_N maps this exponential to almost zero. Q_N then spreads it to
+    other samples, at which P_N does answer. M = P Q (P^-1 - L), equation (35) of the paper,
+    therefore does not hold for a finite trial. Q_N (I - P_N L_N) is not the operator of any trial.
 
     See Also
     --------
@@ -124,25 +129,30 @@ def trial_map(
 def trial_norm(
     P: Model, Q: ZeroPhaseButterworth, L: Filter, samples: int, trials: int = 1, rest: int = 0
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return the 2-norm of the map of the ILC signal from one finite trial to the next.
+    """Return the 2-norm of the map of the ILC signal v from one finite trial to the next.
+
+    The norm is the largest factor by which the distance of v from its limit can grow.
 
     Parameters
     ----------
     P, Q, L, samples, rest :
         As for :func:`trial_map`.
     trials : int
-        Number of trials in a row. The norm is that of T^trials.
+        Number of consecutive trials. The norm is the norm of T^trials, with the T of
+        :func:`trial_map`.
 
     Returns
     -------
     norm : float
-        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. With more inputs than outputs, only the
-        v count that Q L makes of errors, see :func:`learned_basis`. If the norm is below one for
-        trials = 1, v converges monotonically. Lanczos iteration approaches the norm from below. A
-        RuntimeError says if the iteration does not converge. Short trials use an SVD instead.
-        Trials of up to 1000 values use an SVD if the iteration takes long.
+        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. If P has more inputs than outputs, only
+        those v count that the law can learn, see :func:`learned_basis`. If the norm is below one
+        for trials = 1, v converges monotonically. The norm is computed by Lanczos iteration, which
+        approaches the norm from below. A RuntimeError says if the iteration does not converge.
+        Short trials use an SVD instead. Trials of up to 1000 values use an SVD if the iteration
+        takes long.
     before, after : ndarray, shape (samples, m)
-        The v_k - v_inf of norm one that is amplified most, and v_{k+trials} - v_inf after it.
+        `before` is the v_k - v_inf of norm one that is amplified most. `after` is the resulting
+        v_{k+trials} - v_inf.
 
     See Also
     --------
@@ -171,11 +181,12 @@ def trial_norm(
 
 @lru_cache(maxsize=4)
 def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -> np.ndarray:
-    """Return orthonormal columns that span what Q_N L_N makes of errors.
+    """Return orthonormal columns that span all v that Q_N L_N computes from errors.
 
-    With more inputs than outputs, or if only errors at points count, most v do not change any
-    counted error. Such a v shrinks by Q_N alone. The norm of T over all v is then one. From v = 0,
-    the law makes next to nothing of these v.
+    If there are more inputs than outputs, or if only the errors at some points of time count, most
+    v do not change any counted error. Only Q_N reduces such a v from trial to trial, and the norm
+    of T over all v is therefore one. If learning begins with v = 0, the law adds almost none of
+    these v, so that they are left out.
     """
     size = samples * L.rows
     if size > MOST_REACHED:
@@ -192,12 +203,12 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
-    """The largest singular value of an operator, and its vectors before and after."""
+    """Compute the largest singular value of T, its unit vector x, and T x."""
     size = T.shape[1]
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
     else:
-        start = np.random.default_rng(0).standard_normal(size)  # the same in every run
+        start = np.random.default_rng(0).standard_normal(size)  # the same numbers in every run
         rounds = ROUNDS if size <= DENSE else None
         try:
             _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS, maxiter=rounds)
@@ -211,18 +222,19 @@ def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 class SettledTrial(NamedTuple):
-    """A trial that is long enough to show the effect of v, and its norm."""
+    """The length of a trial in which all plants settle, and the norm of this trial."""
 
-    samples: int  # zero if the plants or Q are no models
-    norm: float  # the largest 2-norm of :func:`trial_map` among the plants
+    samples: int  # zero if a plant or Q is known by samples only
+    norm: float  # the largest :func:`trial_norm` among the plants
 
 
 def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
     """Return the length and the norm of a trial that is long compared with the plants.
 
     The trial is ten times as long as the slowest plant needs to settle, and at least twice as long
-    as the largest delay. `SHORTEST_TRIAL` samples are added, and `LONGEST_TRIAL` limits the length.
-    With several plants, one iteration finds the largest norm among the plants.
+    as the largest delay. `SHORTEST_TRIAL` samples are added to this length. The length is limited
+    to `LONGEST_TRIAL`, divided by the number of inputs. With several plants, one iteration finds
+    the largest norm among the plants.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
@@ -236,13 +248,16 @@ def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
 
 
 def _delay(P):
-    """The largest delay in samples among the entries of a model that answer at all."""
+    """Return the largest delay, in samples, among the entries of a model that are not zero."""
     answers = impulse_response(P, LONGEST_TRIAL) != 0
     return answers.argmax(axis=0).max()
 
 
 def _on_trial(f, samples, made, taken):
-    """A filter as linear operator from raveled signals (samples, taken) to (samples, made)."""
+    """Make a filter a linear operator on raveled signals of one trial.
+
+    The operator maps signals with `taken` channels to signals with `made` channels.
+    """
 
     def raveled(apply, channels):
         def on_columns(X):

@@ -5,24 +5,30 @@ At each frequency omega, every plant P of a problem is replaced by one of the fo
     g P(omega),    exp(-j omega d Ts) P(omega),    P(a omega),    P(omega) + Delta, ||Delta|| <= r,
 
 The gain changes by the factor g, the delay grows by d samples, the time scale is a times as long,
-or P has any error within a radius r. The margins are the limits on g, d, a and r up to which the
-largest sigma_max(Q (I - P L)) stays below one, at all frequencies and for all plants. The limits
-also hold everywhere within the radius of the problem, which changes together with the plants.
+or P has any error Delta up to a radius r. The margins are the limits on g, d, a and r. Within each
+limit, the largest sigma_max(Q (I - P L)) stays below one, at all frequencies and for all plants. If
+the problem has a radius around each plant, the limits hold for all plants within this radius. This
+radius changes with the gain and the time scale of its plant.
 
-M can have a narrow crest wherever P or L changes within a narrow band. P does so at a mode, which
-is a pole of P. L = B K does so at an antiresonance of P, where L has poles. Q and L are therefore
-computed on a grid that is dense in the phase of their poles. Each plant is computed on a grid that
-is dense in the phase of its own poles. Splines give Q and L between their frequencies. M is also
-computed at the tops of its crests, where the parabola through the three highest points has its top.
-The poles of a table are not known. A mode of a table that is narrower than a step of omega is
-therefore not seen. Above its last sample, a table counts as in the certificate. The margin of the
-time scale leaves out the frequencies that would use a table above its last sample.
+M = Q (I - P L) can have a narrow peak wherever P or L changes within a narrow band. P does so at a
+lightly damped mode, which is a pole of P. L = B K does so at an antiresonance of P, where L has
+poles. Q and L are therefore computed on a grid of frequencies between which the phase
+of the all-pass with their poles changes in small steps, see :mod:`.response.phase`. For each plant
+that is a model, such a grid is made from the poles of the plant. Cubic splines interpolate Q and L
+between the frequencies of their grid. M is also computed at the tops of its peaks. The top of a
+peak is estimated by the parabola through three neighbouring points. The poles of a plant that is
+known as a table are not known. A mode of a table that is narrower than a step of omega is therefore
+not seen. Above the last sample of a table, P has the same size as in the certificate, with any
+phase. The margin of the time scale leaves out the frequencies that would use a table above its last
+sample.
 
-The search goes outwards in steps to the first step that fails. Brent's method then finds the limit.
-The search ends at ten times the gain, eight times the time scale, or a full turn of the phase. In g
-and r, sigma_max is convex, so that there is one limit. A limit below g = 1 exists only if Q is
-above one somewhere. Phase margins of ``control.stability_margins`` belong to a feedback loop. The
-law v = Q (v + L e) is a feedback loop only from trial to trial.
+For each margin, the search starts at no change and goes outwards in steps, until sigma_max is at
+least one. Brent's method then finds the limit within the last step. The search ends at ten times
+the gain, eight times the time scale, or a full turn of the phase. As functions of g and r,
+sigma_max is convex, so that there is one limit. A limit on g between 0 and 1 exists only if |Q| is
+above one at some frequency. These margins differ from the phase margins of
+``control.stability_margins``, which belong to a feedback loop in time. The law v = Q (v + L e)
+feeds back only from trial to trial.
 """
 
 from dataclasses import dataclass
@@ -43,27 +49,27 @@ from ilctools.response.response import Response
 from ilctools.response.samples import SAME_FREQUENCY
 
 GAINS = np.array([1.0, 10.0])  # the search ends at the last value, here and in the following arrays
-# time scales: the first steps are as small as a lightly damped antiresonance asks for
+# time scales: the first steps are small, because a lightly damped antiresonance has small margins
 TIMES = 1 + np.append(0, np.geomspace(1e-3, 7, 23))
-RADII = np.array([0.0, 10.0])  # of sigma_max(P) at the cut-off
+RADII = np.array([0.0, 10.0])  # in units of sigma_max(P) at the cut-off
 TURN = np.linspace(0, 2 * np.pi, 33)  # rad, phase at the cut-off that a delay adds
-PHASE_STEP = np.pi / 20  # of phi, rad, from one frequency to the next
+PHASE_STEP = np.pi / 20  # of phi in `response.phase`, rad, from one frequency to the next
 MOST_FOR_L = 8000  # frequencies for the poles of L; thousands of samples in L would need more
-PARTS = 4  # frequencies for each sample of a table, which splines miss most halfway
-LEVEL = 0.98  # of crests whose tops are computed; a worst case above 0.99 of it is exact
+PARTS = 4  # steps between two samples of a table, as the error of splines is largest halfway
+LEVEL = 0.98  # peaks above it get a top; worst cases above 0.99 of it are exact
 ONE = 1 + 1e-9  # one, with room for rounding
 TWO_DIGITS = Context(prec=2, rounding=ROUND_DOWN)
-LIMIT_TOLERANCE = 1e-4  # relative, of a limit, which is printed with two digits
+LIMIT_TOLERANCE = 1e-4  # relative tolerance of a limit, which is printed with two digits
 
 
 @dataclass(frozen=True)
 class Margins:
-    """The limits of monotone convergence if one property of the plant changes at a time."""
+    """How much one property of the plant may change before monotone convergence is lost."""
 
     gain: tuple[float, float]  # factor on the gain of P: lowest, highest
     delay: tuple[float, float]  # samples less, samples more
     time: tuple[float, float]  # how many times faster, how many times slower
-    radius: float  # of any other Delta, in units of sigma_max(P) at the cut-off of Q
+    radius: float  # of an arbitrary error Delta, in units of sigma_max(P) at the cut-off of Q
 
     def __repr__(self):
         low, high = self.gain
@@ -78,18 +84,18 @@ class Margins:
 
 
 def _percent(distance):
-    """A distance as a share of one, with two digits."""
+    """Return a relative distance as text in percent, rounded towards zero to two digits."""
     return f"{inwards(100 * distance):g} %"
 
 
 def inwards(distance: float) -> float:
     """Round a distance towards zero, to two digits."""
-    # by rounding, 100 * 0.29 is less than 29
+    # because of rounding in doubles, 100 * 0.29 is less than 29
     return float(TWO_DIGITS.create_decimal_from_float(max(distance, 0.0) * (1 + 1e-12)))
 
 
 def margins(problem: Problem, L) -> Margins:
-    """Compute the margins of a filter, in units of `scale`, for all plants of a problem at once."""
+    """Compute the margins of L, in units of `scale`, which hold for all plants of a problem."""
     response, cutoff = problem.response, problem.lowpass.cutoff
     filters = _filters(problem, L)
     plants = [Perturbed(response, number, filters) for number in range(len(response.models))]
@@ -105,9 +111,10 @@ def margins(problem: Problem, L) -> Margins:
 
 
 def limit(plants, what: str, steps) -> float:
-    """Return the value up to which all peaks stay below one, from the first step outwards.
+    """Return the value up to which the largest sigma_max(M) of each plant stays below one.
 
-    If the peaks also stay below one at the last step, the last step is returned.
+    `what` names the argument of :meth:`Perturbed.peak` that changes along `steps`. If sigma_max(M)
+    also stays below one at the last step, the last step is returned.
     """
     for plant in plants:  # each further plant is searched up to the limit so far
         steps = _up_to_root(lambda value, plant=plant: plant.peak(**{what: value}) - ONE, steps)
@@ -115,7 +122,7 @@ def limit(plants, what: str, steps) -> float:
 
 
 def _up_to_root(excess, steps):
-    """The first steps with an excess below zero, then its root before the step that fails."""
+    """Return the steps up to the first root of `excess`, and the root as the last step."""
     outside = next((k for k, step in enumerate(steps) if excess(step) >= 0), None)
     if not outside:
         return steps if outside is None else steps[:1]
@@ -125,7 +132,7 @@ def _up_to_root(excess, steps):
 
 
 class Filters(NamedTuple):
-    """Q and L as splines through their values at frequencies."""
+    """Q and L as cubic splines through their values at the frequencies `omega`."""
 
     omega: np.ndarray
     Q: CubicSpline
@@ -133,7 +140,7 @@ class Filters(NamedTuple):
 
 
 def _filters(problem, L) -> Filters:
-    """Q and L of a problem, from rest or the first sample up to the Nyquist frequency."""
+    """Make splines of Q and L from zero, or the first sample of P, to the Nyquist frequency."""
     lowpass, poles = problem.lowpass, [L.poles]
     if isinstance(lowpass, ZeroPhaseButterworth):
         poles.append(lowpass.poles)
@@ -141,7 +148,7 @@ def _filters(problem, L) -> Filters:
     omega = phase_grid(poles, max(PHASE_STEP, turn / MOST_FOR_L)) / problem.Ts
     ends = _ends(problem.response)[0], np.pi / problem.Ts
     omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
-    # keep one of two frequencies that are nearly the same, as a slope between would be rounding
+    # keep one of two frequencies that are nearly the same: the slope between them would be rounding
     omega = omega[np.append(True, np.diff(omega) > SAME_FREQUENCY * omega[1:])]
     return Filters(omega, *(CubicSpline(omega, f.frequency_response(omega)) for f in (lowpass, L)))
 
@@ -156,12 +163,16 @@ class Perturbed:
             own = subdivided(response.omega, PARTS)
         else:
             own = phase_grid([model.poles()], PHASE_STEP) / response.Ts
-        # the ends of a radius, and the frequency above which P of a table is assumed
+        # the radius begins and ends at omega[0] and omega[-1]; above, P of a table is only assumed
         ends = first, last, np.nextafter(last, np.inf)
         self.omega = np.union1d(own, ends)
 
     def peak(self, gain=1.0, delay=0.0, slower=1.0, radius=0.0) -> float:
-        """Return max sigma_max(M) with g exp(-j omega d Ts) P(a omega) + Delta, ||Delta|| <= r."""
+        """Return the largest sigma_max(M) of the changed plant, over all frequencies.
+
+        The plant is g exp(-j omega d Ts) P(a omega) + Delta with ||Delta|| <= r. Here g is `gain`,
+        d is `delay` in samples, a is `slower` and r is `radius`.
+        """
         grid, known = self._as_it_is if slower == 1 else self._slower(slower)
 
         def sigma_M(omega):
@@ -175,11 +186,11 @@ class Perturbed:
 
     @cached_property
     def _as_it_is(self):
-        """The grid for the plant's own time scale, which most changes leave as it is."""
+        """The grid, P and its radius for the unchanged time scale, computed once."""
         return self._slower(1.0)
 
     def _slower(self, slower):
-        """The frequencies at which P(a omega) is evaluated, and P and its radius there."""
+        """Return the frequencies for P(a omega), and P and its radius at these frequencies."""
         first, *_, nyquist = self.filters.omega
         omega = np.union1d(self.filters.omega, self.omega / slower)
         known = (slower * omega <= _ends(self.response)[1]) | (slower == 1)
@@ -187,12 +198,15 @@ class Perturbed:
         return omega, self._at(slower * omega)
 
     def _at(self, omega):
-        """P and its radius at any frequencies; beyond the known range, as at its ends."""
+        """Return P and its radius at any frequencies; outside their range, as at its ends."""
         there = np.clip(omega, _ends(self.response)[0], self.filters.omega[-1])
         return self.response.anywhere(self.number, there)
 
 
 def _ends(response):
-    """The range in which P is known, rad/s; no upper end for a table up to Nyquist's frequency."""
+    """Return the range of frequencies in which P is known, rad/s.
+
+    The upper end is infinite for models, and for tables that end at the Nyquist frequency.
+    """
     first = response.omega[0] if response.sampled else 0.0
     return first, np.inf if response.beyond is None else response.omega[-1]

@@ -1,6 +1,7 @@
 """Is the filter optimal? A bound on the objective that no other filter can beat.
 
-The bound follows from the solver's multipliers by linear algebra alone, whatever their quality.
+The bound is computed from the solver's multipliers by linear algebra alone. The bound is valid even
+if the multipliers are inaccurate.
 """
 
 import numpy as np
@@ -10,34 +11,36 @@ from ilctools.evidence.robustness import MOST_UNEQUAL
 from ilctools.problem.problem import Cuts, Problem
 
 HALVINGS = 40  # of the interval of logarithms of w_1 / w_2 that is searched
-FAINT = 1e-12  # least eigenvalue of X, relative to the size of N
+FAINT = 1e-12  # lower limit on the eigenvalues of X in `dual_norm`, relative to the size of N
 
 
 def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
-    """Compute a lower bound on the optimum of (39) or (45), from multipliers and linear algebra.
+    """Compute a lower bound on the optimum of (39) or (45) of the paper from multipliers.
 
-    Take multipliers U_i, V_i, N_c for which every change of the coefficients has
+    U_i and V_i are multipliers of the bounds on M and on L at frequency i. N_c are multipliers of
+    the additional bounds, called cuts, see :class:`.Cuts`. A change of the coefficients of L
+    changes M_i, L_i and G_c by dM_i, dL_i and dG_c. Suppose that every such change fulfils
 
         sum_i Re tr(U_i^H dM_i) + Re tr(V_i^H dL_i) + sum_c Re tr(N_c^H dG_c) = 0.
 
-    Then all filters that meet the bounds have
+    Then all filters that meet the bounds fulfil
 
         sum_i Re tr(U_i^H Q_i) + sum_c Re tr(N_c^H F_c)
             = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
             <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
 
-    where |.| are nuclear norms and W is :attr:`.Problem.L_bound`. The matrices G = F + T L belong
-    to :class:`.Cuts`, and b_c are their bounds. The norm nu, see :func:`dual_norm`, is dual to the
-    norm that b_c bounds.
+    where |.| are nuclear norms and W is :attr:`.Problem.L_bound`. G_c = F_c + T_c L is the matrix
+    that a cut bounds, and b_c is its bound. The norm nu, see :func:`dual_norm`, is dual to the norm
+    that b_c bounds.
 
-    For the sum, |U_i| may exceed the weight of sigma_max(M_i) in the objective. The excess is then
-    bounded with M_max, and so are the b_c. For the peak, sigma_max(M_i) and b_c are no larger than
-    the objective itself.
+    If the objective is the sum (39), |U_i| may exceed the weight of sigma_max(M_i) in the
+    objective. The excess and all b_c are then bounded with M_max. If the objective is the peak
+    (45), sigma_max(M_i) and b_c are no larger than the objective itself.
 
-    The multipliers are first projected on the space of all multipliers that fulfil the condition.
-    The bound therefore holds up to rounding, whatever multipliers were passed. A coefficient of
-    L_jk acts on column k of M, L and G only. The columns are therefore projected one by one.
-    If V is None, the bound on L is not used. If `cuts` is None, no cuts are used.
+    The function first projects the multipliers onto the space of all multipliers that fulfil the
+    condition. The bound therefore holds up to rounding for any multipliers. A coefficient of L_jk
+    acts on column k of M, L and G only. The columns are therefore projected one by one. If V is
+    None, the bound on L is not used. If `cuts` is None, no cuts are used.
     """
     parts = _parts(problem, U, V, cuts)
     U, *others = multipliers = _projected(problem, parts)
@@ -53,15 +56,18 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     else:
         excess = np.maximum(norms - problem.objective.weights, 0).sum() + dual
         bound -= problem.M_max * excess
-    return max(0.0, float(bound))  # the objective is never negative
+    return max(0.0, float(bound))  # because the objective is never negative
 
 
 def _parts(problem, U, V, cuts):
-    """F, T and N of each G = F + T L, with T as K acts on it, and the frequency numbers."""
+    """Return F, T, the multipliers N and the frequency indices for each bound on G = F + T L.
+
+    If L = B K, T contains B, so that G = F + T K.
+    """
     every = np.arange(len(problem.omega))
     F, T = problem.affine(0, every, None)
     parts = [(F, T, U, every)]
-    if V is not None:  # in units of the bound: the size of the objective
+    if V is not None:  # in units of the bound, so that W L has a size near one
         W = problem.L_bound
         parts.append((0 * W, W, np.linalg.solve(W, V), every))
     if cuts is not None:
@@ -72,7 +78,7 @@ def _parts(problem, U, V, cuts):
 
 
 def _projected(problem, parts):
-    """The multipliers N of parts (F, T, N, at), made orthogonal to all changes of L."""
+    """Project the multipliers N of parts (F, T, N, at) to be orthogonal to all changes of L."""
     m, shapes = problem.channels, [T.shape for _, T, _, _ in parts]
     T = np.concatenate([T.reshape(-1, m) for _, T, _, _ in parts])
     N = np.concatenate([N.reshape(-1, m) for _, _, N, _ in parts], dtype=complex)
@@ -92,25 +98,26 @@ def _projected(problem, parts):
 
 
 def _nuclear_norms(N):
-    """The nuclear norm of each matrix."""
+    """Return the nuclear norm of each matrix."""
     return np.linalg.svd(N, compute_uv=False).sum(axis=1)
 
 
 def dual_norm(N) -> np.ndarray:
     """Return upper bounds on nu(N), shape (c,): the largest Re tr(N^H G) over all G bounded by one.
 
-    Without a radius, nu is the nuclear norm. With a radius, G = [G_1; G_2] is bounded by one if
-    shares d_1 + d_2 = 1 exist with sum G_k^H G_k / d_k <= I. Then, for all X > 0 and
-    c_k = tr(N_k X^-1 N_k^H),
+    If the plants have no radius, nu is the nuclear norm. With a radius, G = [G_1; G_2] is bounded
+    by one if positive shares d_1 + d_2 = 1 exist with sum_k G_k^H G_k / d_k <= I. N_1 and N_2 are
+    the parts of N that belong to G_1 and G_2. Then, for all X > 0 and c_k = tr(N_k X^-1 N_k^H),
 
         Re tr(N^H G) <= sum_k sqrt(c_k tr(G_k X G_k^H))
                      <= sqrt(sum_k c_k d_k) sqrt(sum_k tr(G_k X G_k^H) / d_k)
                      <= sqrt(max c_k) sqrt(tr X),
 
-    by Cauchy and Schwarz, twice. Weight the two parts of N by the square roots of shares w_1 and
-    w_2 with w_1 + w_2 = 1. The least of these bounds is the largest nuclear norm of the weighted N
-    over all shares. The bound belongs to X = (sum_k w_k N_k^H N_k)^(1/2), whose trace is concave in
-    w_1, with the slope (c_1 - c_2) / 2. Any w gives a valid bound.
+    by the inequality of Cauchy and Schwarz, applied twice. Now weight the two parts of N by the
+    square roots of shares w_1 and w_2 with w_1 + w_2 = 1. The least of the bounds over X equals the
+    largest nuclear norm of the weighted N over all shares w. This bound belongs to
+    X = (sum_k w_k N_k^H N_k)^(1/2). The trace of X is concave in w_1, with the slope
+    (c_1 - c_2) / 2, so that the best w is found by bisection. Any w gives a valid bound.
     """
     count, rows, m = N.shape
     if rows == m:
@@ -127,7 +134,7 @@ def dual_norm(N) -> np.ndarray:
 
 
 def _costs(N, t):
-    """c_1, c_2 and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
+    """Return c_1, c_2 and the trace of X of `dual_norm`, for w_1 = 1 / (1 + exp(-t))."""
     weights = expit(np.stack([t, -t]).T)
     floor = np.zeros_like(N[:, :1]) + FAINT * np.eye(N.shape[-1])
     parts = [np.sqrt(weights)[..., None, None] * N, floor]
@@ -139,10 +146,10 @@ def _costs(N, t):
 
 
 def _changes(T, angles, order):
-    """Orthonormal rows that span all changes of T L by the coefficients, from the rows of T."""
-    # The powers of z are nearly dependent at low frequencies. Arnoldi's process does not form them.
-    # It multiplies the last rows by z - 1 and makes the result orthogonal to all rows before. These
-    # rows span the same space, and doubles are accurate enough for them.
+    """Return orthonormal rows that span all changes of T L by the coefficients of L."""
+    # The powers of z are nearly dependent at low frequencies. Arnoldi's process avoids these
+    # powers. It multiplies the last rows by z - 1 and makes the result orthogonal to all earlier
+    # rows. The resulting rows span the same space, and doubles represent them accurately enough.
     rows = _rows(T * np.exp(1j * angles)[:, None])
     step = np.expm1(1j * angles)
     basis = np.empty((0, rows.shape[1]))
@@ -155,5 +162,5 @@ def _changes(T, angles, order):
 
 
 def _rows(X):
-    """Each column of X as one real row, in which real and imaginary parts alternate."""
+    """Return each column of X as one real row, in which real and imaginary parts alternate."""
     return np.ascontiguousarray(X.T, dtype=complex).view(float)

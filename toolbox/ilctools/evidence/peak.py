@@ -1,52 +1,56 @@
-"""Are the bounds met between the samples? The peak over all frequencies.
+"""Are the bounds also met between the design frequencies? The peak over all frequencies.
 
-If P is known by samples, or within a radius, the peak is the largest value on a dense grid and at
-the tops of the crests on the grid. A parabola through three points gives the top of a crest.
+The peak is the largest sigma_max(M) or sigma_max(L) over frequency. If P is known by samples, or
+within a radius, the peak is estimated by the largest value on a dense grid and between its points.
+Between the points, a parabola through three points gives the top of a local maximum, here called a
+crest.
 
-For a model the peak has a proof, because the poles bound what can happen between two frequencies.
-Let a_1 ... a_n be the eigenvalues of A. If there is a real Q = |H|^2 with a Butterworth filter H,
-the poles of H are included. Let
+If P is a model, the peak is proved, because the poles of a system limit how much its response can
+rise between two frequencies. Let G(theta) = C (exp(j theta) I - A)^-1 B + D be the response of the
+system. Let a_1 ... a_n be the eigenvalues of A. If G is multiplied by a real Q = |H|^2 with a
+Butterworth filter H, the poles of H are included. Let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
-the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). This phase increases. Let g
-be the peak of Q sigma_max, with Q = 1 if there is no Q. Let theta* = omega* Ts be the angle at
-which the peak is attained. Then
+the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). This phase increases with
+theta. Let g be the peak of Q sigma_max(G), with Q = 1 if there is no Q. Let theta* = omega* Ts be
+the angle at which the peak is attained. Then
 
     Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
 
 *Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let T(theta) = Q Re u* G v / g.
-Then |T| <= Q sigma_max / g <= 1 everywhere, and T(theta*) = 1. Let
-W(theta) = prod_j |exp(j theta) - a_j|^2. Q and Re u* G v are trigonometric polynomials over the
-factors |exp(j theta) - a_j|^2 of their poles. T is therefore a trigonometric polynomial of degree n
-or less over W. S(theta) = cos(phi(theta) - phi(theta*)) = Re(B(exp(j theta)) / B(exp(j theta*)))
-has the same form, and so has D = S - T. D has no more than 2n zeros in a period, unless D is zero
-throughout. S takes the values +1 and -1 in turn at theta* = t_0 < t_1 < ... < t_2n = t_0 + 2 pi.
-Because |T| <= 1, D is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, .... Each of the 2n - 2 intervals
-[t_1, t_2] ... [t_2n-2, t_2n-1] therefore contains a zero of D. If the zero is at an end of an
-interval, T = +1 or -1 is stationary there, as S is. The zero is then double, and counts once for
-each of its two intervals. The zero at t_0 is double, too. Together these are 2n zeros. Now suppose
-that T < S at some place in (t_0, t_1). Then D > 0 there and D(t_1) <= 0, which makes one more zero
-in (t_0, t_1]: a contradiction. The other side is the mirror image. (The theorem is the inequality
-of Bernstein and Szego for rational functions; see Borwein and Erdelyi, Mathematika 43 (1996)
-413-423. For a finite impulse response of length n + 1, phi = n theta, and the theorem is Riesz's
-lemma of 1914.)
+Then |T| <= Q sigma_max(G) / g <= 1 everywhere, and T(theta*) = 1. Let W(theta) = prod_j |exp(j
+theta) - a_j|^2. Q and Re u* G v are trigonometric polynomials over the factors |exp(j theta) -
+a_j|^2 of their poles. T is therefore a trigonometric polynomial of degree n or less over W.
+S(theta) = cos(phi(theta) - phi(theta*)) = Re(B(exp(j theta)) / B(exp(j theta*))) has the same form,
+and so has D = S - T. D has no more than 2n zeros in a period, unless D is zero throughout. S takes
+the values +1 and -1 in turn at theta* = t_0 < t_1 < ... < t_2n = t_0 + 2 pi. Because |T| <= 1, D is
+>= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, .... Each of the 2n - 2 intervals [t_1, t_2] ...
+[t_2n-2, t_2n-1] therefore contains a zero of D. If the zero is at an end of an interval, T = +1 or
+-1 is stationary there, as S is. The zero is then double, and counts once for each of its two
+intervals. The zero at t_0 is double, too. Together these are 2n zeros. Now suppose that T < S at
+some angle in (t_0, t_1). Then D > 0 there and D(t_1) <= 0, which makes one more zero in (t_0, t_1]:
+a contradiction. The proof for (t_2n-1, t_2n) is the mirror image. (The theorem is the inequality of
+Bernstein and Szego for rational functions; see Borwein and Erdelyi, Mathematika 43 (1996) 413-423.
+For a finite impulse response of length n + 1, phi = n theta, and the theorem is Riesz's lemma of
+1914.)
 
-Let a and b be two neighbouring frequencies with phi(b) - phi(a) = h < pi. If theta* lies between
-them, a or b is no farther than h / 2 from theta*. The peak is then at most
-max(sigma(a), sigma(b)) / cos(h / 2), so that a grid proves a bound. Real systems have the same
-singular values at negative frequencies, so that [0, pi / Ts] is enough.
+Let a and b be two neighbouring angles of a grid, with phi(b) - phi(a) = h < pi. If theta* lies
+between a and b, phi(theta*) differs by at most h / 2 from phi(a) or from phi(b). The peak is then
+at most max(sigma(a), sigma(b)) / cos(h / 2), with sigma = Q sigma_max(G). The values on a grid
+therefore prove an upper bound on the peak. Real systems have the same singular values at negative
+frequencies, so that the frequencies in [0, pi / Ts] are enough.
 
-With L = B K of :mod:`ilctools.base` there is no model, as B also has poles mirrored at the circle.
-On the circle, each factor of B is a trigonometric polynomial over |exp(j theta) - a|^2, with a pole
-a inside the circle. K looks at most k samples ahead or back. K is therefore a trigonometric
-polynomial of degree k, and counts as k poles at zero. In a product the degrees add, and so do the
-phases.
+The filter L = B K of :mod:`ilctools.base` is not a causal model. B also has poles outside the
+unit circle, which are its inner poles mirrored at the circle. On the circle, each factor of B is a
+trigonometric polynomial over |exp(j theta) - a|^2, with a pole a inside the circle. K looks at most
+k samples ahead or back. K is therefore a trigonometric polynomial of degree k, and counts as k
+poles at zero. In a product of systems, the degrees and the phases of the systems add.
 
-The values are computed from a Schur form of A, whose diagonal holds the poles that the bound uses.
-The proof is exact for a system whose matrices differ from the given ones by rounding. The proof
-does not include what rounding may add to a peak. This is some 1e-16 over the distance of a pole to
-the circle, or 1e-9 for the paper's M.
+The responses are computed from a Schur form of A, whose diagonal contains the poles that the bound
+uses. The proof is exact for a system whose matrices differ from the given matrices by rounding. The
+proof does not include how much this rounding may change a peak. The change is about 1e-16 divided
+by the distance of a pole from the circle, or 1e-9 for the paper's M.
 """
 
 from dataclasses import dataclass, replace
@@ -66,23 +70,25 @@ from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.response.response import Response
 from ilctools.singular_values import TIED, largest_singular_values
 
-FINE_PHASE_STEP = 0.01  # in phi, of a grid to read a peak from: crests between are 1e-5 higher
-FIRST_PHASE_STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
-# where the peak may be higher than all values so far, each step is divided, and then once more. h
-# is then 0.002, and the bound is 5e-7 above the peak
+FINE_PHASE_STEP = 0.01  # in phi, of a grid that estimates a peak: peaks between are 1e-5 higher
+# in phi, of the first grid of a proof. Each of its steps between which the peak may be higher than
+# all computed values is divided into PARTS. This is repeated once: h is then 0.002, and the bound
+# is 5e-7 above the peak.
+FIRST_PHASE_STEP = np.pi / 6
 PARTS, PASSES_OF_A_PROOF = 16, 3
-MOST_IN_A_PASS = 300_000  # frequencies: a flat base of thousands of samples has fewer passes
+MOST_IN_A_PASS = 300_000  # frequencies; a flat response of L with thousands of samples needs more
 PEAK_TOLERANCE = 1e-6  # relative, by how much a proven bound may exceed the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
-DEAF, PASSES_NOTHING = "where P passes nothing", 1e-3  # of P L
+DEAF, PASSES_NOTHING = "where P passes nothing", 1e-3  # with a smaller gain of P L
 BELOW = "assumed below the first sample"
 
 
 def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
     """Find the peak of sigma_max(L) over all frequencies from `lowest` on, and its frequency.
 
-    If `lowest` is zero, the peak is proven. Otherwise the peak is the largest value on a grid with
-    steps of `FINE_PHASE_STEP` in the phase of L, and at the tops of the crests.
+    If `lowest` is zero, the peak is proven. Otherwise the peak is estimated by the largest value on
+    a grid and at the tops of its crests. The steps of the grid are `FINE_PHASE_STEP` in the phase
+    of the all-pass with the poles of L.
     """
 
     def sigma(omega):
@@ -97,7 +103,7 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
 
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
-    """Find the peak of sigma_max(M) over all frequencies, and its frequency."""
+    """Find a proven bound on the peak of sigma_max(M) for a model P, and its frequency, rad/s."""
 
     def sigma(omega):
         of_P = in_parts(partial(frequency_response, P), omega, P.B.size)
@@ -112,7 +118,10 @@ def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float
 
 
 def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
-    """Find the peak of a sigma with these poles, as an upper bound, and its frequency, rad/s."""
+    """Find an upper bound on the peak of a function sigma(omega), and its frequency, rad/s.
+
+    `sigma` is the largest singular value of a system with these `poles`.
+    """
     arguments.stable("system", poles)
     theta, peak, place = phase_grid([poles], FIRST_PHASE_STEP)[None], 0.0, 0.0
     for _ in range(PASSES_OF_A_PROOF):
@@ -130,7 +139,7 @@ def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
 
 
 def in_parts(function, points, size):
-    """Evaluate a function in parts that fit into memory, if a point takes `size` numbers."""
+    """Evaluate a function in parts that fit into memory, if each point takes `size` numbers."""
     parts = np.array_split(points, 1 + len(points) * size // CHUNK)
     return np.concatenate([function(part) for part in parts])
 
@@ -139,22 +148,23 @@ def in_parts(function, points, size):
 class Peak:
     """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
 
-    sigma: float  # if proven, an upper bound to PEAK_TOLERANCE
-    omega: float  # where it is, rad/s
-    plant: int  # the number of its plant; the first if several are tied
+    sigma: float  # if proven, an upper bound, which exceeds the peak by PEAK_TOLERANCE at most
+    omega: float  # the frequency of the peak, rad/s
+    plant: int  # the number of the plant with this peak; the first plant if several are tied
 
 
 def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
     """Find the highest peaks of sigma_max(M), by the way in which they are known.
 
-    The keys are "proven", `DEAF`, "estimated", `BELOW` and "assumed"; a key without peaks is left
-    out. A peak is "proven" for plants that are models, without the radius, if Q is a filter. Where
-    P passes nothing, M is |Q| for any L. The key of a proven peak at such a frequency is `DEAF`.
+    The keys of the returned dict are "proven", `DEAF`, "estimated", `BELOW` and "assumed". A key
+    without peaks is left out. If a plant is a model and Q is a filter, the peak for this plant
+    without its radius is "proven". Where P passes nothing, M is |Q| for any L. The key of a proven
+    peak at such a frequency is `DEAF`.
 
-    If P or Q are samples, or with a radius, a peak is "estimated" between the frequencies of P. A
-    peak is "assumed" above the last frequency of P. Below the first one, its key is `BELOW`. These
-    peaks come from a dense grid. Crests near `level` or above are also evaluated at their tops.
-    Lower peaks are only bounded.
+    If P or Q is known by samples, or if P has a radius, peaks come from a dense grid. Between the
+    first and the last frequency of P, the key is "estimated". Below the first frequency, the key is
+    `BELOW`. Above the last frequency, the key is "assumed". Crests that are near `level` or above
+    it are also evaluated at their tops. For lower crests, the values are upper bounds.
     """
     peaks = {"proven": [], DEAF: [], "estimated": [], BELOW: [], "assumed": []}
     for k, model in enumerate(problem.response.models):
@@ -181,7 +191,10 @@ def estimated_peaks(problem: Problem, L, level, k):
 
 
 def _sigma_M(problem, L, level, k, omega):
-    """sigma_max(M) of plant k within its radius, and within its region below the samples."""
+    """Compute the worst sigma_max(M) of plant k within its radius, at frequencies omega.
+
+    Below the first sample, the plant may be anywhere in a region, see :mod:`.response.samples`.
+    """
     response = problem.response
     (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
     of_L = in_parts(L.frequency_response, omega, 4 * LONG)  # in long doubles
@@ -194,7 +207,7 @@ def _sigma_M(problem, L, level, k, omega):
 
 
 def passes(P, L, peak) -> bool:
-    """Return whether P L passes something at a peak; else M is |Q| there for any L."""
+    """Return whether P L has a gain at a peak; if it has none, M is |Q| there for any L."""
     if not 1 - PASSES_NOTHING <= peak.sigma <= 1 + PEAK_TOLERANCE:
         return True
     [of_P], [of_L] = frequency_response(P, [peak.omega]), L.frequency_response([peak.omega])
@@ -202,10 +215,11 @@ def passes(P, L, peak) -> bool:
 
 
 def with_tops(function, omega, height=None) -> tuple[np.ndarray, np.ndarray]:
-    """Add the tops of crests to frequencies, and evaluate a function at all frequencies.
+    """Evaluate a function at frequencies, and at the tops of its crests between them.
 
-    A parabola through three points gives the top of a crest. Only crests of at least `height` get a
-    top. The default height is `NEAR_LEVEL` times the largest value.
+    A crest is a local maximum on the grid. A parabola through the maximum and its two neighbours
+    gives the top of the crest. Only crests of at least `height` get a top. The default height is
+    `NEAR_LEVEL` times the largest value. Return the frequencies and the values.
     """
     values = function(omega)
     height = NEAR_LEVEL * values.max() if height is None else height
@@ -221,8 +235,8 @@ def with_tops(function, omega, height=None) -> tuple[np.ndarray, np.ndarray]:
 def dense_grid(response: Response, number, L) -> np.ndarray:
     """Return a grid that subdivides omega and resolves the poles of L, and of P if P is a model.
 
-    For samples, the grid runs from zero to the Nyquist frequency, as P has a radius above its last
-    sample, see :mod:`.response.response`.
+    If P is known by samples, the grid runs from zero to the Nyquist frequency. Above its last
+    sample, P has a radius, see :mod:`.response.response`.
     """
     model, (low, *_, high) = response.models[number], response.omega
     grids = [
@@ -244,7 +258,7 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
 
 
 def highest(peaks: list[Peak]) -> Peak:
-    """Return the highest of some peaks; if several are tied, the peak of the first plant."""
+    """Return the highest of several peaks; if several are equally high, that of the first plant."""
     sigma = max(peak.sigma for peak in peaks)
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     return replace(min(level, key=lambda peak: peak.plant), sigma=sigma)

@@ -9,11 +9,11 @@ from ilctools.problem.reference import unreachable_rms
 from ilctools.response.samples import Assumed
 from ilctools.singular_values import TIED
 
-PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # whose RMS is printed if there is a reference
+PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # trials whose RMS error is printed if there is a reference
 
 
 def printed(certificate) -> str:
-    """Return what a user asks first: the rate, margins, gains, and what limits them."""
+    """Return the printed text of a certificate: rate, margins, gains, limits and warnings."""
     problem = certificate.problem
     known = [line for line in problem.assumptions if not isinstance(line, Assumed)]
     all_known = len(known) == len(problem.assumptions)
@@ -32,7 +32,7 @@ def printed(certificate) -> str:
 
 
 def details(certificate) -> str:
-    """Return the table of :attr:`.Certificate.details`."""
+    """Return the text of :attr:`.Certificate.details`: a table of all peaks and bounds."""
     problem, bounds = certificate.problem, certificate.problem.bounds
     peaks = certificate.peaks.items()
     table = [
@@ -57,7 +57,7 @@ def details(certificate) -> str:
 
 
 def _rate(certificate):
-    """The rate, the plants for which it holds, and where it is attained."""
+    """Return the line with the rate, the plants for which it holds, and its frequency."""
     problem, peak = certificate.problem, certificate.highest_peak
     near = certificate.problem_on_grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
     at = np.append(near, peak.omega).min()
@@ -71,7 +71,7 @@ def _rate(certificate):
 
 
 def _whom(problem):
-    """The plants for which the rate holds, in words."""
+    """Name the plants for which the rate holds; empty for a single plant without a radius."""
     count = len(problem.plants)
     of = f" of {count} plants" if count > 1 else ""
     if problem.radius is not None:
@@ -80,7 +80,7 @@ def _whom(problem):
 
 
 def _gains(certificate):
-    """P at rest, cut-off, delay, the gain of L for each of its bounds, the norm of a trial."""
+    """Yield P at rest, cut-off, delay, the gain of L for each bound, and the norm of a trial."""
     problem, trial = certificate.problem, certificate.settled_trial
     yield at_rest_in_words(problem.response)
     yield f"the cut-off of Q is {problem.lowpass.cutoff:.4g} rad/s"
@@ -95,7 +95,7 @@ def _gains(certificate):
 
 
 def _unequal(certificate):
-    """What is learned if the numbers of learned inputs and outputs differ."""
+    """Yield a line on what is learned if the numbers of learned inputs and outputs differ."""
     problem = certificate.problem
     if problem.square:
         return
@@ -115,12 +115,12 @@ def _unequal(certificate):
 
 
 def _count(number, what):
-    """A number of things in words, in the singular or the plural."""
+    """Return a number with its noun, in the singular or the plural."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _deaf(certificate):
-    """Where P passes nothing, in words."""
+    """Yield a line on a peak of sigma_max(M) at which P passes nothing, if there is one."""
     if DEAF in certificate.peaks:
         place = certificate.place(certificate.peaks[DEAF])
         yield (
@@ -130,13 +130,13 @@ def _deaf(certificate):
 
 
 def _below(certificate):
-    """What is assumed below the first sample, and the rate without it."""
+    """Yield what is assumed about P below its first sample, and the rate above this sample."""
     if below := certificate.problem.response.below_in_words:
         yield f"{below}; above this frequency, the rate is {certificate.rate_above:.4f}"
 
 
 def _limits(certificate):
-    """The bounds that limit the optimum, and the size of the filter."""
+    """Return a line with the bounds that limit the optimum, and the order of the filter."""
     problem = certificate.problem
     if np.isnan(certificate.lower_bound):
         return "L = B by its formula (K = 1): nothing was optimised"
@@ -154,7 +154,7 @@ def _limits(certificate):
 
 
 def _mean(certificate):
-    """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
+    """Yield the predicted RMS errors if there is a reference, else the mean rate in the band."""
     problem, rms, mean = certificate.problem, certificate.predicted, certificate.mean_M
     nominal = " of the nominal plant" if problem.robust else ""
     if rms:
@@ -166,11 +166,11 @@ def _mean(certificate):
 
 
 def _against(certificate):
-    """The lines of warnings and failures."""
+    """Yield the lines of warnings and failures."""
     yield from (f"WARNING: {found}" for found in certificate.warnings)
     yield from (f"FAILS: {found}" for found in certificate.failures)
 
 
 def _span(omega):
-    """The first and the last of some frequencies."""
+    """Return the first and the last of some frequencies in words."""
     return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"

@@ -1,8 +1,8 @@
-"""How slowly may it converge? The worst case of M over all plants considered possible.
+"""How slowly may learning converge? The worst case over all plants that are possible.
 
 At each frequency, the worst case is the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants
-P_k and all Delta within the radius. The value is an upper bound with a proof, and one Delta
-reaches this bound.
+P_k and over all errors Delta with ||Delta|| <= r, where r is the radius at this frequency. The
+computed value is a proved upper bound, and some Delta attains this bound.
 """
 
 from dataclasses import dataclass
@@ -17,45 +17,51 @@ from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
-NEAR_LEVEL = 0.99  # share of a level, above which a worst case is computed exactly
+NEAR_LEVEL = 0.99  # share of `level` in within_radius, above which a worst case is exact
 TO_ROUNDING = {"xatol": 0, "xrtol": 1e-11, "fatol": 0, "frtol": 1e-13}
-MOST_UNEQUAL = 40.0  # logarithm of the ratio of two shares: the smaller one is below rounding
+MOST_UNEQUAL = 40.0  # logarithm of the ratio of two shares; the smaller share is then rounding
 
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """The worst case of sigma_max(M) at each frequency. :func:`worst_case` makes it."""
+    """The worst case of sigma_max(M) at each frequency, as :func:`worst_case` returns it."""
 
-    sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta
-    frequency: int  # index of the frequency of the peak, and its plant; the first of the tied
-    plant: int
+    sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta within the radius
+    frequency: int  # index of the frequency with the largest sigma; the first if several are tied
+    plant: int  # number of the plant with the largest sigma
 
 
 def worst_case(problem: Problem, L: Filter) -> WorstCase:
     """Find the largest sigma_max(M) of a learning filter over all plants of a problem.
 
+    M = Q (I - P L) maps the error of one trial to the error of the next trial.
+
     Parameters
     ----------
     problem : Problem
+        The problem, with its plants and their radius, such as ``design.problem``.
     L : LearningFilter
         The filter, in units of `scale`.
 
     See Also
     --------
     synthesise : bounds sigma_max(M) for all plants
-    Synthesis.check : the same for one plant
+    Synthesis.check : computes the rate for another plant
 
     Notes
     -----
-    For a radius r, and rho = |Q| r, the worst case is exactly
+    Let r be the radius, and rho = |Q| r. For one plant and one frequency, the largest
+    sigma_max(Q (I - (P + Delta) L)) over all Delta with ||Delta|| <= r is exactly
 
         max over unit x of |M x| + rho |L x|
             = min over alpha in (0, 1) of sigma_max([M / sqrt(alpha); rho L / sqrt(1 - alpha)]).
 
-    For a given x, a Delta of rank one, which turns rho L x against M x, reaches the left-hand side.
-    For each alpha the right-hand side is an upper bound, by Cauchy and Schwarz, and this bound is
-    convex in alpha. At the least bound, an x exists that attains the bound, because the pairs
-    (|M x|^2, |L x|^2) fill a convex set (Toeplitz and Hausdorff).
+    For a given x, |M x - Q Delta L x| is largest for a Delta of rank one and norm r. This Delta
+    rotates L x into the direction of M x, so that the two terms add. The left-hand side is
+    therefore attained. For each alpha, the right-hand side is an upper bound by the inequality of
+    Cauchy and Schwarz. This bound is convex in alpha. At the least bound, an x exists that attains
+    the bound, because the pairs (|M x|^2, |L x|^2) fill a convex set, by the theorem of Toeplitz
+    and Hausdorff.
 
     Examples
     --------
@@ -80,14 +86,14 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
 
 
 def worst_sigma(problem, L, k, level):
-    """Return sigma_max(M) of plant k within the radius; well below the level, an upper bound."""
+    """Return the worst sigma_max(M) of plant k as :func:`within_radius` computes it."""
     return within_radius(problem.plants[k], problem.Q, L, problem.response.radii, level)
 
 
 def within_radius(P, Q, L, radius, level):
-    """Return the worst case of P (n, p, m) and L (n, m, p) within a radius, (n,).
+    """Return the worst sigma_max(M) of P (n, p, m) and L (n, m, p) within a radius, (n,).
 
-    The result is exact above `NEAR_LEVEL` times the level. Below, it is an upper bound.
+    Above `NEAR_LEVEL` times `level`, the result is exact. Smaller results are upper bounds.
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
     if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same problem for P^T and L^T
@@ -102,10 +108,10 @@ def within_radius(P, Q, L, radius, level):
 
 
 def _least_bound(G):
-    """The least sigma_max over alpha of the weighted [M; rho L], (n,); NaN if M is zero."""
+    """Minimise sigma_max of the weighted G = [M; rho L] over alpha, (n,); NaN if M is zero."""
 
     def bound(t, i):
-        """sigma_max([M / sqrt(alpha); rho L / sqrt(1 - alpha)]), t = log((1 - alpha) / alpha)."""
+        """Compute sigma_max of the weighted G for t = log((1 - alpha) / alpha)."""
         m = G.shape[2]
         root = np.sqrt(expit([-t, t])).T.repeat([m, G.shape[1] - m], axis=1)
         return largest_singular_values(G[i] / root[:, :, None])

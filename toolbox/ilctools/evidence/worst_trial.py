@@ -1,8 +1,10 @@
 """The largest norm of a trial among several plants, by a single Lanczos iteration.
 
-For plant k, the map of a trial is T_k = Q_N (I - L_N P_k), see :func:`.finite.trial_map`. The map
-with all T_k on its diagonal has the largest of their norms. All plants share Q and L. The matrix of
-L_N is therefore computed once, and filters the signals of all plants at the same time.
+The norm of a trial is the largest factor by which one trial can increase the distance of the ILC
+signal v from its limit. For plant k, this distance is multiplied by T_k = Q_N (I - L_N P_k), see
+:func:`.finite.trial_map`. The block-diagonal map with all T_k on its diagonal has the largest norm
+of the T_k. All plants share Q and L. The matrix of L_N is therefore computed once, and filters the
+signals of all plants at the same time.
 """
 
 import numpy as np
@@ -13,8 +15,8 @@ from scipy.sparse import eye_array
 from ilctools.filters import Filter, ZeroPhaseButterworth
 from ilctools.models import impulse_response
 
-LANCZOS = 30  # vectors that the iteration keeps, as for one plant
-TOLERANCE = 1e-8  # relative residual of the eigenvector, as for one plant
+LANCZOS = 30  # vectors that the iteration keeps, as in `finite`
+TOLERANCE = 1e-8  # relative residual of the eigenvector, as in `finite`
 
 
 def largest_trial_norm(
@@ -22,7 +24,8 @@ def largest_trial_norm(
 ) -> float:
     """Return the largest 2-norm of a trial among some plants.
 
-    The norm is over all v, or over the v that `learned_basis` spans.
+    If `learned_basis` is passed, only the v that its columns span count, see
+    :func:`.finite.learned_basis`. Otherwise all v count.
     """
     learned_basis = eye_array(samples * L.rows) if learned_basis is None else learned_basis
     maps = Maps(plants, Q, L, samples, learned_basis)
@@ -35,11 +38,14 @@ def largest_trial_norm(
 
 
 class Maps:
-    """The maps T_k of some plants, applied to one signal each, (plants, samples, channels)."""
+    """The maps T_k of all plants; each T_k is applied to its own signal v_k.
+
+    Signals have the shape (plants, samples, channels).
+    """
 
     def __init__(self, plants, Q, L, samples, learned_basis):
         self.Q, self.learned_basis = Q, learned_basis
-        (p, m), self.length = plants[0].shape, next_fast_len(2 * samples)  # no sample wraps round
+        (p, m), self.length = plants[0].shape, next_fast_len(2 * samples)  # no wrap-around
         self.of_v, self.of_e = (len(plants), samples, m), (len(plants), samples, p)
         units = np.eye(samples * p)
         self.L_N = L.apply(units.reshape(-1, samples, p)).reshape(len(units), -1).T
@@ -55,7 +61,7 @@ class Maps:
         return (result @ self.learned_basis).ravel()
 
     def filtered(self, H, signals):
-        """Return P_k v_k, or P_k^T e_k if H is adjoint, (plants, samples channels)."""
+        """Return P_k v_k from H, or P_k^T e_k from the adjoint of H, (plants, samples channels)."""
         spectra = rfft(signals, self.length, axis=1)[..., None]
         made = irfft((H @ spectra)[..., 0], self.length, axis=1)[:, : signals.shape[1]]
         return made.reshape(len(made), -1)

@@ -1,1 +1,1 @@
-"""What is asked of the learning filter: one checked object, and how it is stated."""
+"""The design problem of the learning filter: one checked object, and how a user states it."""

@@ -2,8 +2,9 @@
 
     sigma_max(M) <= M_max,    sigma_max(L) <= L_max,    sigma_max(L) <= gain above a frequency.
 
-A new bound is added as a claim here. The solver uses :meth:`Bounds.limit_on_L` and M_max. Grid,
-certificate and messages go through :attr:`Bounds.claims`, so that no bound can be left out.
+The third bound holds at and above a frequency that the user chooses. To add a kind of bound, add a
+claim to :attr:`Bounds.claims`. The solver uses :meth:`Bounds.limit_on_L` and M_max. The grid, the
+certificate and the messages loop over all claims, so that none can be left out.
 """
 
 from dataclasses import dataclass, replace
@@ -13,21 +14,21 @@ import numpy as np
 
 
 class Claim(NamedTuple):
-    """One bound, as stated by the user."""
+    """One bound on sigma_max(M) or sigma_max(L), as the user stated it."""
 
-    name: str  # the argument of `synthesise`
+    name: str  # of the argument of `synthesise` that states the bound
     matrix: str  # "M" or "L", whose largest singular value is bounded
-    limit: float
+    limit: float  # the largest allowed singular value
     lowest: float = 0.0  # rad/s: the bound holds from this frequency on
 
     @property
     def what(self) -> str:
-        """What is bounded, in words."""
+        """The singular value that is bounded, in words."""
         above = f" from {self.lowest:.4g} rad/s on" if self.lowest > 0 else ""
         return f"sigma_max({self.matrix}){above}"
 
     def holds_at(self, omega) -> np.ndarray:
-        """Return at which frequencies the bound holds, (n,)."""
+        """Return a mask of the frequencies at which the bound holds, (n,)."""
         return np.asarray(omega) >= self.lowest
 
     def __str__(self):
@@ -38,16 +39,16 @@ class Claim(NamedTuple):
 
 @dataclass(frozen=True)
 class Bounds:
-    """All bounds of a problem."""
+    """All bounds of a design problem."""
 
     M_max: float  # on sigma_max(M)
-    L_max: float | None  # on sigma_max(L); None: there is none
+    L_max: float | None  # on sigma_max(L); None: L has no such bound
     L_high: tuple[float, float] | None = None  # a frequency, rad/s, and the bound from there on
-    everywhere: bool = False  # whether they hold between the frequencies, too
+    everywhere: bool = False  # whether the bounds also hold between the frequencies
 
     @property
     def claims(self) -> tuple[Claim, ...]:
-        """The bounds, one claim for each."""
+        """The bounds as claims, one claim for each bound."""
         claims = [Claim("M_max", "M", self.M_max)]
         if self.L_max is not None:
             claims.append(Claim("L_max", "L", self.L_max))
@@ -61,12 +62,12 @@ class Bounds:
         return [claim for claim in self.claims if claim.matrix == matrix]
 
     def limit_on_L(self, omega) -> np.ndarray:
-        """Return the least limit on sigma_max(L) at each frequency, (n,); infinite without one."""
+        """Return the least limit on sigma_max(L) at each frequency, (n,); inf without a limit."""
         each = [np.where(claim.holds_at(omega), claim.limit, np.inf) for claim in self.on("L")]
         return np.min([np.full(len(omega), np.inf), *each], axis=0)
 
     def lowered(self, shrink: float, M: bool) -> "Bounds":
-        """Return all limits times `shrink`, for a grid; M_max changes only if `M` is true."""
+        """Return bounds with all limits multiplied by `shrink`, but M_max only if `M` is true."""
         return replace(
             self,
             M_max=self.M_max * (shrink if M else 1),

@@ -1,49 +1,55 @@
 """Choose the defaults from P and Q: band of the sum (39), order of the filter, bound on its gain.
 
-The defaults are for a plant that one does not know. A filter that inverts P looks ahead by the
-delay of P, and further by a share of the time constant of Q:
+The defaults suit plants of which only the frequency response is known. A filter that inverts P
+looks ahead by the delay of P, and by an additional time that is proportional to the time constant
+of Q:
 
     order = delay + REACH / (cutoff Ts),    L_max = ROOM / min sigma_min(P) up to the cut-off.
 
-The delay is the phase lag of P beyond the least lag that the gain of P admits. For a stable plant
-without delay and without zeros outside the unit circle, Bode's relation gives the phase,
+Here REACH and ROOM are constants, cutoff is the cut-off of Q, and Ts is the sampling period. The
+delay is computed from the phase lag of P in excess of the least lag that a plant with the same gain
+can have. The least lag is the lag of a stable plant without delay and without zeros outside the
+unit circle. Bode's relation gives the phase of such a plant,
 
     phi(u_0) = 1/pi integral d ln|P| / du  ln coth(|u - u_0| / 2) du,    u = ln tan(omega Ts / 2),
 
-H. W. Bode, Network Analysis and Feedback Amplifier Design (1945), for frequencies as the bilinear
-transform maps them.
+H. W. Bode, Network Analysis and Feedback Amplifier Design (1945), where the
+bilinear transform maps the frequencies.
 """
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-CHOOSE = "auto"  # as L_max: choose the bound here. L_max = None means no bound
-REACH = 4  # samples that the filter looks ahead beyond the delay of P, times cutoff Ts
-FEWEST_TAPS, MOST_TAPS = 10, 60  # samples of the filter; with more, the synthesis takes seconds,
-TAPS_OF_K = 21  # of K, as many back as ahead: enough if P B is nearly one
-LEFT_TAPS = 20  # which is worth it only if fewer than these are left beyond the delay
-# times the gain that inverts P: a finite filter exceeds this gain at some frequencies
+CHOOSE = "auto"  # L_max = "auto": the bound is chosen here. L_max = None: there is no bound
+REACH = 4  # cutoff Ts times the samples that the filter looks ahead beyond the delay of P
+FEWEST_TAPS, MOST_TAPS = 10, 60  # samples of the filter; with more, the synthesis takes seconds
+TAPS_OF_K = 21  # samples of K in L = B K, as many back as ahead: enough if P B is nearly one
+LEFT_TAPS = 20  # after a long delay, the order is at most the delay plus so many samples
+# L_max relative to the gain that inverts P: a finite filter exceeds this gain at some frequencies
 ROOM = 4
-COMPARED = 500  # frequencies at most: n frequencies take n^2 numbers of memory
-# The same factor if it decides b = 1 / (2 L_max) of L = B. M is then 1 / (1 + 4 ROOM_OF_BASE^2).
-# For 18 plants, 8 and 16 leave the same error except for noise. 16 learns more noise.
+COMPARED = 500  # frequencies at most in `lead`: n frequencies take n^2 numbers of memory
+# As ROOM, for L = B, where L_max decides b = 1 / (2 L_max). M is then 1 / (1 + 4 ROOM_OF_BASE^2).
+# For 18 plants, the factors 8 and 16 leave the same error except for noise. 16 learns more noise.
 ROOM_OF_BASE = 8
-# times the gain that inverts P at low frequencies: a larger L gains only noise. 29 of the 32 plants
-# in figures/performance.md are within 1.2 of the best law without this limit, 31 with 15 or 20
+# Largest L_max relative to the gain that inverts P at low frequencies: a larger L mainly amplifies
+# noise. Without this limit, 29 of the 32 plants in figures/performance.md are within a factor of
+# 1.2 of the best law. With a limit of 15 or 20, 31 plants are.
 STATIC = 20
-# Low frequencies end at this share of the cut-off. With 1/50 to 1/30, the same 31 are within 1.2.
-# With the gain at rest instead, 30 are. For a plant whose time constants are 1 : 10,000, trial 2
-# then leaves 4 times the error that it could, or the bounds are infeasible.
+# Low frequencies end at this share of the cut-off. With shares from 1/50 to 1/30, the same 31
+# plants are within a factor of 1.2. If the gain at rest is used instead, 30 plants are. For a plant
+# whose time constants are 1 : 10,000, trial 2 then leaves 4 times the error that it could leave, or
+# the bounds are infeasible.
 SLOW = 1 / 30
-# share of M_max, which b may leave of the error at any frequency. Without this limit, STATIC might
-# make a design infeasible. From 0.6 / 0.9 on, the limit changes none of the 32 plants; a half
-# changes two.
+# With b, this share of M_max is the largest share of the error that may remain at any frequency.
+# Without this limit, STATIC might make a design infeasible. From 0.6 / 0.9 on, the limit changes
+# the design of none of the 32 plants; a half changes two designs.
 REMAINS = 2 / 3
-PASSES_AT_REST = 0.01  # of the largest sigma_min(P): P passes nothing at rest if its value is less
+# P passes nothing at rest if sigma_min(P) there is less than this share of the largest sigma_min(P)
+PASSES_AT_REST = 0.01
 
 
 def cutoff(Q, omega) -> float:
-    """Return the cut-off of samples of Q, rad/s: above, |Q| stays below one half."""
+    """Return the cut-off of a sampled Q, rad/s: |Q| is below one half at all higher frequencies."""
     size = np.abs(Q)
     passed = np.flatnonzero(size >= 0.5)
     if not len(passed) or passed[-1] == len(omega) - 1:
@@ -53,18 +59,23 @@ def cutoff(Q, omega) -> float:
 
 
 def band(cutoff, omega) -> tuple[float, float]:
-    """Return the band from the lowest frequency above zero to the cut-off, rad/s."""
+    """Return the default band: from the lowest frequency above zero to the cut-off, rad/s."""
     low, *higher = omega[omega > 0].tolist()
     return low, float(min(max(cutoff, higher[0]), omega[-1]))
 
 
 def at_rest(smallest) -> float:
-    """Return the smallest singular value of P at rest; zero if P passes nothing there."""
+    """Return the smallest singular value of P at rest; zero if P passes nothing at rest.
+
+    `smallest` (n,) is the smallest singular value of P at each frequency, the lowest first.
+    """
     return float(smallest[0]) if smallest[0] > PASSES_AT_REST * smallest.max() else 0.0
 
 
 def gain(cutoff, smallest, omega) -> float:
-    """Return ROOM times the largest gain that inverts P up to the cut-off, rounded up to one digit.
+    """Return the default L_max of a finite filter, rounded up to one digit.
+
+    L_max is ROOM times the largest gain that inverts P up to the cut-off.
 
     `smallest` (n,) is the smallest singular value of P at omega.
     """
@@ -74,13 +85,15 @@ def gain(cutoff, smallest, omega) -> float:
 
 
 def gain_of_base(cutoff, smallest, omega, Q, M_max) -> float:
-    """Return the bound on the gain of L = B, which gives b = 1 / (2 L_max).
+    """Return the default L_max, the bound on the gain of L = B, which gives b = 1 / (2 L_max).
 
-    The bound is ROOM_OF_BASE times the largest gain that inverts P up to the cut-off, and at most
-    STATIC times the largest gain that inverts P up to SLOW times the cut-off. With the b of this
-    limit, a share |Q| b^2 / (sigma^2 + b^2) of the error remains, where sigma is the smallest
-    singular value. If this share exceeds REMAINS M_max at some frequency, b is reduced until the
-    share does not, but not below the b of the first bound. `Q` (n,) is |Q| at omega.
+    B = (P* P + b^2)^-1 P* is the regularised inverse of P. L_max is ROOM_OF_BASE times the largest
+    gain that inverts P up to the cut-off. L_max is also at most STATIC times the largest gain that
+    inverts P up to SLOW times the cut-off. The second limit may increase b. With this b, a share
+    |Q| b^2 / (sigma^2 + b^2) of the error remains, where sigma is the smallest singular value of P.
+    If this share exceeds REMAINS M_max at some frequency, b is reduced until the share no longer
+    exceeds this limit. But b is not reduced below the b that follows from ROOM_OF_BASE alone.
+    `smallest` (n,) is sigma, and `Q` (n,) is |Q| at omega.
     """
     slow = smallest[omega <= max(SLOW * cutoff, omega[0])].min()
     above = smallest[omega >= SLOW * cutoff].max(initial=0)
@@ -95,21 +108,25 @@ def gain_of_base(cutoff, smallest, omega, Q, M_max) -> float:
 
 
 def _least(cutoff, smallest, omega):
-    """The smallest singular value of P up to the cut-off."""
+    """Return the smallest singular value of P up to the cut-off."""
     return min([np.interp(cutoff, omega, smallest), *smallest[omega <= cutoff]])
 
 
 def order(cutoff, delay, Ts, frequencies) -> int:
-    """Return the delay of P plus REACH / (cutoff Ts), within limits and at most frequencies / 2."""
+    """Return the default order: the delay of P plus REACH / (cutoff Ts) samples, within limits.
+
+    The order is at most half the number of frequencies.
+    """
     samples = max(FEWEST_TAPS, delay + np.ceil(REACH / (cutoff * Ts) - 1e-9))
     return int(min(samples, max(MOST_TAPS, delay + LEFT_TAPS), max(1, frequencies // 2)))
 
 
 def delay(P, omega, Ts, cutoff) -> int:
-    """Return the delay of P at the cut-off, in samples, beyond the least lag that its gain admits.
+    """Return the delay of P at the cut-off, in samples.
 
-    The delay is computed for each output, with the inputs decoupled at the lowest frequency. The
-    largest delay counts.
+    The delay follows from the phase lag in excess of the least lag that the gain of P allows. It is
+    computed for each output, after the inputs are combined so that P is the identity at the lowest
+    frequency. The largest delay counts.
     """
     P, omega = P[omega > 0], omega[omega > 0]
     if len(omega) < 2:
@@ -120,12 +137,12 @@ def delay(P, omega, Ts, cutoff) -> int:
 
 
 def lead(P, omega, Ts) -> float:
-    """Return the mean lead of the phase of P over the least lag that its gain admits, rad.
+    """Return by how much the phase of P leads the phase with the least lag for its gain, rad.
 
-    No stable plant leads. But the samples end, and this cuts off Bode's integral: with 50 plants,
-    an error of a tenth of a radian, and 0.13 at most, remained. If there are n > COMPARED samples,
-    250 to 500 are compared. Independent noise of 1 rad in each phase then moves the mean by
-    0.06 rad (standard deviation).
+    The lead is the mean over the frequencies. A stable plant has no lead. But Bode's integral ends
+    at the last sample. For 50 plants, this caused an error of a tenth of a radian, and 0.13 rad at
+    most. If there are n > COMPARED samples, the phase is compared at 250 to 500 of these samples.
+    Independent noise of 1 rad in each phase then moves the mean by 0.06 rad (standard deviation).
     """
     P, omega = P[omega > 0], omega[omega > 0]
     if len(omega) < 4:
@@ -135,14 +152,14 @@ def lead(P, omega, Ts) -> float:
 
 
 def _lag(P, omega, Ts, at):
-    """Phase lag of each output beyond the least lag, at some frequencies, (k, m), rad."""
-    if P.shape[1] > P.shape[2]:  # then for each input, with the outputs combined
+    """Compute the phase lag of each output in excess of the least lag at `at`, (k, m), rad."""
+    if P.shape[1] > P.shape[2]:  # then compute the lag for each input, with the outputs combined
         P = P.swapaxes(1, 2)
     square = P.shape[1] == P.shape[2]
     response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]) if square else np.linalg.pinv(P[0]))
     u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, at))
     # The mean of ln coth(|u| / 2) over a step is the value in its middle, except for the step at
-    # zero. There the function is about -ln(|u| / 2), whose mean is the value at width / (2 e).
+    # zero. At zero the function is about -ln(|u| / 2), whose mean is its value at width / (2 e).
     distance = np.abs((u[1:] + u[:-1]) / 2 - u_0[:, None])
     kernel = -np.log(np.tanh(np.maximum(distance, np.diff(u) / (2 * np.e)) / 2))
     gain_steps = np.diff(np.log(np.abs(response) + np.finfo(float).tiny), axis=0)

@@ -1,10 +1,11 @@
 """Grids that are dense enough for bounds on the grid to hold at every frequency.
 
-The steps of a grid are at most h in the phase of the poles of Q, P and L, see
-:mod:`.evidence.peak`. If sigma_max(M) is at most M_max cos(h / 2) on the grid, it is at most M_max
-between its frequencies. The same holds for L. Samples have no poles. Between two samples the grid
-has FREQUENCIES_PER_SAMPLE frequencies, or as many as the poles of L need.
-Below the first sample no bound on M is added. Only the certificate shows what may happen there.
+From one frequency of a grid to the next, the phase of the all-pass with the poles of Q, P and L
+changes by at most h, see :mod:`.evidence.peak`. If sigma_max(M) is at most M_max cos(h / 2) on the
+grid, sigma_max(M) is at most M_max between the frequencies of the grid. The same holds for L. A
+plant that is known by samples has no known poles. Between two samples the grid has
+FREQUENCIES_PER_SAMPLE frequencies, or as many as the poles of L need. Below the first sample, no
+bound on M is added. Only the certificate shows how large M may be there.
 """
 
 from dataclasses import replace
@@ -17,19 +18,20 @@ from ilctools.problem.problem import Problem
 from ilctools.response.phase import phase, phase_grid, subdivided
 from ilctools.singular_values import largest_singular_values
 
-# h with a proof, and h without: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
+# h with a proof, and h without a proof: limits are lowered by 1 - cos(h / 2), 1e-5 and 3e-4
 PROVEN_PHASE_STEP, ESTIMATED_PHASE_STEP = 0.01, 0.05
-MOST_ON_A_GRID = 30_000  # frequencies; with a base of thousands of samples the steps are larger
-COARSE_PHASE_STEP = np.pi / 2  # of L: between such steps L exceeds its bound by 8 % at most
+MOST_ON_A_GRID = 30_000  # frequencies; if B in L = B K has thousands of samples, steps are larger
+COARSE_PHASE_STEP = np.pi / 2  # in the phase of L: with it, L exceeds its bound by 8 % at most
 FREQUENCIES_PER_SAMPLE = 10  # between two samples
 
 
 def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
-    """Return the problem at all frequencies that need bounds, and which of them were stated.
+    """Return the problem at all frequencies that need bounds, and which ones the user stated.
 
-    With `everywhere`, M and L are bounded between the frequencies. Otherwise L is bounded between
-    them if omega is coarse for L. Bounds are also added above the last sample of P, where only the
-    size of P is known.
+    If the bounds hold `everywhere`, M and L are also bounded between the frequencies omega.
+    Otherwise only L is bounded between these frequencies, if omega is too coarse for L. Bounds are
+    also added above the last sample of P, where only the size of P is known. The second result is a
+    mask of the frequencies that belong to omega.
     """
     between = problem.bounds.everywhere or _is_coarse(problem)
     if not between and problem.response.beyond is None:
@@ -42,21 +44,21 @@ def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
 
 
 class Dense(NamedTuple):
-    """A grid that is dense in the phase of what is bounded."""
+    """A grid with small steps in the phase of the all-pass with the poles of M or L."""
 
     theta: np.ndarray  # angles from 0 to pi
-    shrink: float  # cos(h / 2), with the largest step h: factor on limits on the grid
+    shrink: float  # factor on the limits on the grid: cos(h / 2), with the largest step h
 
 
 def _is_coarse(problem):
-    """Whether L may exceed a bound between the stated frequencies."""
+    """Check if L may clearly exceed a bound between the frequencies that the user stated."""
     ends = np.concatenate([[0], problem.response.angles, [np.pi]])
     step = np.diff(phase(problem.poles_of_L, ends)).max()
     return step > COARSE_PHASE_STEP and bool(problem.bounds.on("L"))
 
 
 def _bounded_between(problem, dense) -> Problem:
-    """The problem with bounds also between its frequencies, where P is known."""
+    """Return the problem with bounds also between its frequencies, where P is known."""
     everywhere, stated = problem.bounds.everywhere, problem.omega
     denser = stated
     if everywhere and not problem.proven:
@@ -71,14 +73,14 @@ def _bounded_between(problem, dense) -> Problem:
 
 
 def _bounded_above(grid, problem, dense) -> Problem:
-    """A grid of the problem with bounds also above the last sample of P."""
+    """Return the problem `grid` with bounds also above the last sample of P."""
     last, omega = problem.omega[-1], dense.theta / problem.Ts
     omega = np.append(np.nextafter(last, np.inf), omega[omega > last])
     return _joined(grid, omega, *_above(problem, omega, grid.M_max, dense.shrink))
 
 
 def _dense(problem) -> Dense:
-    """The grid for the poles of L; with `everywhere`, also for the poles of P and Q."""
+    """Make the grid for the poles of L; with `everywhere`, also for the poles of P and Q."""
     of_L, lowpass = problem.poles_of_L, problem.lowpass
     step, systems = ESTIMATED_PHASE_STEP, [of_L]
     if problem.bounds.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
@@ -91,7 +93,7 @@ def _dense(problem) -> Dense:
 
 
 def _between(problem, omega):
-    """P, Q and the radius between the frequencies; Q is zero where L alone is bounded."""
+    """Return P, Q and the radius at additional frequencies; Q is zero where only L is bounded."""
     response = problem.response
     P, radius = _known(response, omega)
     inside = (omega >= response.omega[0]) & (omega <= response.omega[-1])
@@ -101,27 +103,31 @@ def _between(problem, omega):
 
 
 def _known(response, omega):
-    """P, (p, k, m, m), and the radius, (p, k), of all plants."""
+    """Return P, (plants, k, p, m), and the radius, (plants, k), of all plants at omega, (k,)."""
     plants = range(len(response.models))
     P, radius = zip(*(response.anywhere(plant, omega) for plant in plants), strict=True)
     return np.array(P), np.array(radius)
 
 
 def _above(problem, omega, M_max, shrink):
-    """P, Q and radius above the last sample: P is zero, and the radius is the size of P."""
+    """Return P, Q and radius above the last sample, where only the size of P is known.
+
+    P is zero there, with a radius as large as this size.
+    """
     response = problem.response
-    # M must also keep its bound between these frequencies: Q falls, L is larger by 1 / shrink
+    # M must also keep its bound between these frequencies. Q decreases there, so that the value of
+    # Q at the frequency before counts. L may be larger by the factor 1 / shrink.
     before = np.append(response.omega[-1], omega[:-1])
     Q = np.abs(problem.lowpass.frequency_response(before))
     P, radius = _known(response, omega)
     sizes = np.array([largest_singular_values(of_one) for of_one in P])
     radius = (sizes + radius).max(axis=0) / shrink
-    bounded = M_max > Q  # else no filter keeps the bound: see `findings`
+    bounded = M_max > Q  # else no filter meets the bound: see Problem.findings
     return 0 * P, np.where(bounded, Q, 0), np.where(bounded, radius, 0)
 
 
 def _joined(problem, omega, P, Q, radius):
-    """The problem with further frequencies, which do not count in the objective."""
+    """Add frequencies to a problem, which do not count in its objective."""
     response = problem.response
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
@@ -141,7 +147,7 @@ def _joined(problem, omega, P, Q, radius):
 
 
 def part(problem: Problem, chosen) -> Problem:
-    """Return the problem at some of its frequencies, chosen by (n,) bool."""
+    """Return the problem at the frequencies that the mask `chosen`, (n,), selects."""
     objective = replace(problem.objective, weights=problem.objective.weights[chosen])
     response, Q = problem.response.at(chosen), problem.Q[chosen]
     return replace(problem, response=response, Q=Q, objective=objective)

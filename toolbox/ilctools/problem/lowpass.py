@@ -1,4 +1,4 @@
-"""Q in whatever form it is known: the Butterworth filter (43), or samples."""
+"""The low-pass filter Q: the Butterworth filter (43) of the paper, or samples of Q."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,13 +10,13 @@ from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem import defaults
 from ilctools.response.samples import Samples
 
-RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
-IMAGINARY = 1e-6  # relative: imaginary part that the rounding of samples may leave of a real Q
+RIPPLE = 1.2  # largest |Q| that passes: the overshoot of a windowless FIR filter, applied twice
+IMAGINARY = 1e-6  # relative: largest imaginary part of a real Q that rounding explains
 
 
 @dataclass(frozen=True, eq=False)
 class SampledQ:
-    """Q by its samples, with splines between them and constant values beyond their ends."""
+    """Q by its samples, with splines between the samples and constant values outside them."""
 
     omega: np.ndarray  # (n,), rad/s
     samples: np.ndarray  # (n,)
@@ -36,7 +36,7 @@ class SampledQ:
 
 
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
-    """Check Q, and return the filter, or a filter made of its samples on omega."""
+    """Check Q; return Q if it is a filter, or else a `SampledQ` of its samples on omega."""
     known = isinstance(Q, ZeroPhaseButterworth | SampledQ)
     samples = Q.frequency_response(omega) if known else Q
     samples = arguments.array("Q", samples, (len(omega),), complex)

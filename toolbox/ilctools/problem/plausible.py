@@ -1,22 +1,26 @@
-"""Does a table look like P: in rad/s, and with its sign? And P at rest, in words.
+"""Is a table plausible as P: are its frequencies in rad/s, and is its sign right?
 
-Nothing in a table shows the unit of its frequencies, or between which signals it was measured. The
-following doubts concern tables alone, and are stated as questions, as each one may be no mistake.
-The print also shows P at rest. There the sensitivity I - P is near 0, and an inverse is not P.
+A table of a frequency response shows neither the unit of its frequencies nor the signals between
+which it was measured. The following doubts concern tables only. They are printed as questions,
+because the table may be right. The printed certificate also shows P at rest, in words. If a user
+passed the sensitivity I - P by mistake, this value is near 0. If a user passed an inverse, the
+value is the inverse of the gain of P.
 
-**Unit.** A table in Hz ends just below 1 / (2 Ts), at the last line of a transform or at nine
-tenths of the Nyquist frequency. In rad/s this number means nothing: few tables end there by chance.
-If a table ends there exactly, P in Hz is real there. A table that is not real, by more than noise,
-is then in rad/s. At other ends the phase does not decide. Other units turn a delay of one sample
-into a delay of six samples, which is also possible. Rational functions of z = exp(j omega Ts) with
-up to four poles were tried. For some ten of 44 plants, these functions fit at least three times
-better in Hz, although the table is in rad/s. These tables end at a tenth of the Nyquist frequency,
-and the functions resolve slow poles better there.
+**Unit.** A table in Hz often ends just below 1 / (2 Ts): at the last line of a Fourier transform,
+or at nine tenths of the Nyquist frequency. In rad/s the number 1 / (2 Ts) has no meaning, so that
+few tables in rad/s end there. If a table in Hz ends exactly at 1 / (2 Ts), P must be real at this
+frequency. If the imaginary part there exceeds the noise, the table is in rad/s. If the table ends
+at another frequency, its phase does not show the unit. In the wrong unit, a delay of one sample
+becomes a delay of six samples, which is also possible. As a test of the unit, rational functions of
+z = exp(j omega Ts) with up to four poles were fitted to tables of 44 plants. For about ten plants,
+the fit is at least three times better in Hz, although the table is in rad/s. These tables end at a
+tenth of the Nyquist frequency, and the functions resolve slow poles better in Hz. This test is
+therefore not used.
 
-**Rest.** A plant that tracks a reference has the gain one at rest. A gain of minus one there is a
-wrong sign. A loop whose observer integrates has the identity at rest, whatever the plant is. If a
-response that was measured in such a loop differs from the identity, something
-other than this loop was at work.
+**Rest.** A loop that tracks a reference has the gain one at zero frequency. A gain of minus one
+there is probably a wrong sign. If the observer of a loop integrates, P is the identity at zero
+frequency for any plant. If a response that was measured in such a loop differs from the identity,
+the data come from another loop.
 """
 
 import numpy as np
@@ -27,10 +31,10 @@ from ilctools.problem.defaults import lead
 from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
-NEAR_NYQUIST = 0.85  # of 1 / (2 Ts): a table that ends above looks like one in Hz
+NEAR_NYQUIST = 0.85  # share of 1 / (2 Ts): a table that ends above it looks like a table in Hz
 PAST_NYQUIST = 1e-3  # relative, by which a table in Hz may exceed 1 / (2 Ts)
 NOISE_OF_PHASE = 0.05  # of the largest gain: a smaller imaginary part may be noise
-FAR_FROM_ONE = 0.3  # of a gain of one, at rest
+FAR_FROM_ONE = 0.3  # distance of the gain at rest from one or minus one
 # rad, mean lead of the phase of P, above which the sign of the phase counts as wrong
 LEAD_DOUBTED = 0.5
 TURNED_PHASE = 0.2  # rad: smaller phases are not printed
@@ -38,12 +42,12 @@ ROUNDED_TO_ZERO = 1e-9  # of the largest gain: rounding
 
 
 def doubts(response: Response) -> list[Finding]:
-    """Return the findings against the nominal plant as it was passed."""
+    """Return the findings that speak against the nominal plant that the user passed."""
     return [*_of_signals(response), *_of_tables(response)]
 
 
 def _of_signals(response):
-    """Findings if outputs in several units count alike, or if P does not pass all directions."""
+    """Yield findings on outputs in several units without a scale, and on directions left out."""
     (outputs, inputs), signals = response.names, response.signals
     units = {signals.units.get(name, "") for name in outputs} - {""}
     if len(units) > 1 and response.scale.is_one:
@@ -55,7 +59,7 @@ def _of_signals(response):
 
 
 def _of_tables(response):
-    """Findings against a table, or against a response whose loop makes it the identity."""
+    """Yield findings on a table, or on a response that should be the identity at rest."""
     P, omega = response.P[0], response.omega
     at_first = f"at {omega[0]:.4g} rad/s"
     is_table = response.models[0] is None and response.low is None
@@ -69,20 +73,20 @@ def _of_tables(response):
         if _ends_as_in_hertz(P, omega, response.Ts):
             place = f"omega ends at {omega[-1]:.6g}"
             yield Finding("hertz", 0.5 / response.Ts, NEAR_NYQUIST, place)
-    ahead = lead(P, omega, response.Ts) if is_table else 0.0  # else signals say what leads
+    ahead = lead(P, omega, response.Ts) if is_table else 0.0  # a record fixes the sign
     if ahead > LEAD_DOUBTED:
         yield Finding("lead", ahead, LEAD_DOUBTED)
 
 
 def _ends_as_in_hertz(P, omega, Ts):
-    """Whether a table ends as one in Hz does, and is real if P in Hz has to be real there."""
+    """Check if a table ends near 1 / (2 Ts), and is real if it ends exactly there."""
     end = omega[-1] * 2 * Ts
     turns = np.abs(P[-1].imag).max() > NOISE_OF_PHASE * np.abs(P).max()
     return NEAR_NYQUIST <= end <= 1 + PAST_NYQUIST and not (turns and end > 1 - PAST_NYQUIST)
 
 
 def at_rest_in_words(response: Response) -> str:
-    """Describe the nominal P at rest, or at its lowest frequency, by the gain of each channel.
+    """Describe the nominal P at zero or at its lowest frequency by the gain of each channel.
 
     If the numbers of inputs and outputs differ, the singular values are given instead.
     """
@@ -101,7 +105,7 @@ def at_rest_in_words(response: Response) -> str:
 
 
 def _number(value, rounding):
-    """A gain with its sign, or with its phase if this is neither 0 nor 180 degrees."""
+    """Return a gain as text with its sign, or with its phase if the gain is not real."""
     if np.abs(value) < rounding:
         return "0"
     if np.abs(value.imag) < TURNED_PHASE * np.abs(value):

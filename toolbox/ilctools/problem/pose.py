@@ -1,4 +1,4 @@
-"""State a problem, and check each argument."""
+"""Make the design problem from the user's arguments, and check each argument."""
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from ilctools.problem.reference import error_weights, first_error, reachable
 from ilctools.response.response import SAME_ANGLE, Response
 from ilctools.singular_values import largest_singular_values
 
-STATES = 100  # of the models in B: so many take a second; with more, B is a finite filter
+STATES = 100  # most states of the models in B, which take a second; with more, B is an FIR filter
 SINGULAR = 1e-12  # of the largest singular value: smaller values are rounding
-LONGEST_FILTER = 300  # samples of a filter: 16 s for one channel; the time grows as their cube
+LONGEST_FILTER = 300  # samples: the design takes 16 s for one channel, and grows as their cube
 
 
 def pose(
@@ -34,7 +34,10 @@ def pose(
     base=None,
     reach=None,
 ) -> Problem:
-    """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
+    """Make and check the problem (39), or (45) with (46), of the paper.
+
+    The arguments are as for :func:`ilctools.synthesise`.
+    """
     lowpass, asked_order, chosen = lowpass_of(Q, response.omega), order, []
     cutoff, base = lowpass.cutoff, _asked_base(base, order, response)
     pooled, M_max = base == defaults.CHOOSE, checked_M_max(M_max)
@@ -64,7 +67,10 @@ def pose(
 
 
 def _asked_base(base, order, response):
-    """The base as asked for: "auto", a share or None; for a square P, an order means None."""
+    """Check `base`, and return "auto", a number or None.
+
+    If P is square and an order is given, "auto" becomes None.
+    """
     if base == defaults.CHOOSE:
         p, m = response.P.shape[2:]
         return None if p == m and order is not None else base
@@ -74,7 +80,7 @@ def _asked_base(base, order, response):
 
 
 def _asked_structure(structure, response):
-    """The structure; a diagonal one needs as many inputs as outputs."""
+    """Check the structure; "diagonal" needs as many inputs as outputs."""
     p, m = response.P.shape[2:]
     if arguments.choice("structure", structure, ["diagonal", "full"]) == "diagonal" and p != m:
         raise needs_square("structure = 'diagonal'", p, m)
@@ -82,7 +88,7 @@ def _asked_structure(structure, response):
 
 
 def needs_square(what: str, p: int, m: int) -> ValueError:
-    """Return the error if `what` needs as many inputs as outputs, but P has other numbers."""
+    """Return the error for an argument `what` that needs as many inputs as outputs."""
     return ValueError(
         f"{what} needs as many learned inputs as outputs, but P has {m} inputs and {p} "
         "outputs: leave it out"
@@ -95,10 +101,10 @@ def checked_M_max(M_max) -> float:
 
 
 def _base(response, lowpass, structure, share, L_max, reach, chosen):
-    """B of L = B K, with b = 1 / (2 L_max), or a share of the largest sigma_max(P).
+    """Make B of L = B K, the regularised inverse (P* P + b^2)^-1 P*.
 
-    The largest sigma_max(P) is taken up to Q's cut-off. In the first case B is made for all plants,
-    and keeps L_max with K = 1.
+    If `share` is "auto", b is 1 / (2 L_max). B is then made for all plants, and L = B keeps L_max.
+    If `share` is a number, b is this share of the largest sigma_max(P) up to the cut-off of Q.
     """
     pooled = share == defaults.CHOOSE
     if pooled:
@@ -127,7 +133,7 @@ def _base(response, lowpass, structure, share, L_max, reach, chosen):
 
 
 def _order(response, cutoff, order, base, chosen):
-    """The order of L or K, which the frequencies must determine."""
+    """Choose or check the order of L or K, which is at most the number of frequencies."""
     n = len(response.omega)
     if order is None and base is not None:
         order = min(defaults.TAPS_OF_K, n)
@@ -155,7 +161,7 @@ def _order(response, cutoff, order, base, chosen):
 
 
 def _objective(response, cutoff, Q, kind, band, reference, chosen):
-    """The objective: a sum, in a band or weighted by the first error of a reference; or a peak."""
+    """Make the objective: a peak, or a sum over a band or weighted by a reference's first error."""
     summed = arguments.choice("objective", kind, ["sum", "peak"]) == "sum"
     error = None
     if reference is None:
@@ -173,7 +179,7 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
         error = first_error(response, r)
         weights = error_weights(reachable(response, error), response.angles)
     largest = np.abs(Q[weights > 0] if summed else Q).max()
-    if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
+    if largest < 1e-6:  # no L would change the objective visibly
         raise ValueError(
             f"Q has a gain of at most {largest:.3g} at the frequencies of the objective, so "
             "that nothing is learned: is its cut-off in rad/s?"
@@ -182,7 +188,7 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
 
 
 def _of_band(omega, cutoff, band, summed, chosen):
-    """The band, and weights of one within; for a sum, the band must lie within omega."""
+    """Return the band, and weights that are one in it; for a sum, omega must contain the band."""
     if band is None:
         band = defaults.band(cutoff, omega)
         if summed:
@@ -201,7 +207,7 @@ def _of_band(omega, cutoff, band, summed, chosen):
 
 
 def _L_max(L_max, gain, close, chosen):
-    """The bound on sigma_max(L), which may be None."""
+    """Choose or check the bound on sigma_max(L); None means that there is no bound."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max, room = gain, f"at most {defaults.ROOM_OF_BASE}" if close else defaults.ROOM
         chosen.append(
@@ -212,7 +218,7 @@ def _L_max(L_max, gain, close, chosen):
 
 
 def _bound_from(L_high, response):
-    """A frequency and the bound on sigma_max(L) from there on, or None."""
+    """Check `L_high`: a frequency and the bound on sigma_max(L) above this frequency, or None."""
     if L_high is None:
         return None
     lowest, gain = arguments.array("L_high", L_high, (2,)).tolist()
@@ -226,9 +232,9 @@ def _bound_from(L_high, response):
 
 
 def _gain(response, lowpass, M_max, pooled):
-    """The default bound on L; if `pooled`, it decides b of L = B."""
+    """Compute the default L_max; if `pooled`, this L_max decides b of L = B."""
     omega, cutoff = response.omega, lowpass.cutoff
-    # A singular value below the radius is not worth inverting.
+    # A singular value below the radius may be zero in truth, so that the radius replaces it.
     smallest = np.maximum(_smallest_singular_values(response, cutoff), response.radii)
     if not pooled:
         return defaults.gain(cutoff, smallest, omega)
@@ -237,9 +243,10 @@ def _gain(response, lowpass, M_max, pooled):
 
 
 def _smallest_singular_values(response, cutoff):
-    """Least singular value of the nominal plant, (n,), which must not be singular anywhere."""
+    """Compute the least singular values of the nominal plant, (n,); refuse a singular plant."""
     omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
-    # up to the cut-off relative to the largest anywhere, above it relative to the largest there
+    # Up to the cut-off, `size` is the largest singular value at all frequencies. Above the cut-off,
+    # it is the largest singular value at the same frequency.
     size = np.where(omega <= cutoff, singular_values.max(), singular_values[:, 0])
     singular = np.flatnonzero(singular_values[:, -1] <= SINGULAR * size)
     if singular.size:
@@ -248,7 +255,7 @@ def _smallest_singular_values(response, cutoff):
 
 
 def refuse_singular(response):
-    """Refuse plants that are singular at each frequency, as no cut-off can be chosen."""
+    """Refuse plants that are singular at all frequencies: no cut-off can be chosen for them."""
     for k, P in enumerate(response.P):
         values = np.linalg.svd(P, compute_uv=False)
         if np.all(values[:, -1] <= SINGULAR * values.max()):
@@ -257,7 +264,7 @@ def refuse_singular(response):
 
 
 def _singular(name, omega, value):
-    """The error of a plant that is singular at a frequency."""
+    """Return the error for a plant that is singular at a frequency."""
     return ValueError(
         f"{name} is singular at omega = {omega:.6g} rad/s (its smallest singular value is "
         f"{value:.3g}), so that P^-1 in (40) does not exist there. Does each output respond to "

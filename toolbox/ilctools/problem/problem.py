@@ -1,20 +1,23 @@
-"""What is asked of the learning filter: the problems (39), (45), (46) as one checked object.
+"""The design problem of the learning filter: (39), (45), (46) of the paper as one checked object.
 
-:func:`.pose.pose` states and checks a problem. Solvers and evidence use this one object.
+:func:`.pose.pose` makes and checks a problem. The solver and the certificate use the same object.
 Frequency responses have the frequency as their first dimension. The channels of P, L and M are in
-units of `scale`, so that singular values compare what counts as equally large.
+units of `scale`, see :mod:`ilctools.response.scale`, so that equally important signals are equally
+large.
 
-P has p outputs and m learned inputs. Trials contract on the side that has fewer channels,
+P has p outputs and m learned inputs. M maps the error e, or the ILC signal v, from one trial
+to the next. M is taken for the signal with fewer channels, for which M can be a contraction:
 
     M = Q (I - P L)   of the error, if m >= p,    M = Q (I - L P)   of v, if m < p.
 
-The second M is the transpose of the first M for P^T and L^T. The solver therefore always has
-G = F + T K with a square K. For m >= p, G contains P B K. For m < p, L = K B, and G contains
-P^T B^T K^T.
+The second M is the transpose of the first M for P^T and L^T. The solver therefore always bounds a
+matrix G = F + T K with a square K. If m >= p, L = B K with the base B, and G contains P B K. If m <
+p, L = K B, and G contains P^T B^T K^T. A response that is transposed if m < p is called *turned*
+here.
 
 M is affine in P. A bound on M for several plants, or for all plants within a radius, is therefore
-as convex as a bound for one plant. The aim is *fast for the plant that one believes in, convergent
-for all that cannot be excluded*.
+as convex as a bound for one plant. The aim is *fast learning for the nominal plant, and convergence
+for all plants that cannot be excluded*.
 """
 
 from dataclasses import dataclass, replace
@@ -33,19 +36,20 @@ from ilctools.response.samples import Assumed
 from ilctools.response.scale import Scale
 from ilctools.singular_values import largest_singular_values
 
-K_MAX = 4.0  # bound on sigma_max(K): more would show at the ends of a trial, which cut off K e
-MOST_GAIN = 1e7  # of Q P L: above, coefficients in doubles no longer determine M to about 1e-9
+K_MAX = 4.0  # bound on sigma_max(K): with more, the truncation of K e at a trial's ends would show
+MOST_GAIN = 1e7  # of Q P L: with more, coefficients in doubles determine M worse than to 1e-9
 
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective that is minimised."""
+    """The objective of the design, which is minimised."""
 
-    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
+    # "sum": (39); "peak": (45); "gain": the largest sigma_max(L), in units of L_max
     kind: str
-    weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
-    # band of sum, rad/s; None if a reference weights the sum: `first_error` then has angles (k,)
-    # and the spectrum of the first trial's error at these angles, (k, m), see `reference`
+    weights: np.ndarray  # (n,): weights of sigma_max(M) in the sum; ones in the band
+    # band of the sum, rad/s; None if a reference weights the sum: `first_error` then has angles
+    # (k,) and the spectrum of the first trial's error at these angles, (k, m), see
+    # `problem.reference`
     band: tuple[float, float] | None = None
     first_error: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -55,10 +59,9 @@ class Objective:
         return (self.weights > 0) & (self.kind == "sum")
 
     def value(self, sigma_M, worst=None) -> float:
-        """Return the objective, from the largest singular value of M at each frequency.
+        """Compute the objective from sigma_max(M) of the nominal plant at each frequency.
 
-        For the peak, `worst` (n,) is the largest singular value over all plants. Default: the
-        value `sigma_M` of the nominal plant.
+        For the peak, `worst` (n,) is the largest sigma_max(M) over all plants. Default: `sigma_M`.
         """
         if self.kind == "sum":
             return float((self.weights * sigma_M)[self.summed].sum())  # (39)
@@ -67,22 +70,22 @@ class Objective:
 
 @dataclass(frozen=True)
 class Problem:
-    """The design problem of a learning filter. :func:`.pose.pose` makes it.
+    """The design problem of a learning filter, as :func:`.pose.pose` makes it.
 
     M and L are bounded at the design frequencies `omega`. Where Q is zero, only L is bounded.
     """
 
     response: Response  # what is known of P
     lowpass: ZeroPhaseButterworth | SampledQ
-    Q: np.ndarray  # (n,): its response at omega; zero where only L is bounded
+    Q: np.ndarray  # (n,): response of the low-pass at omega; zero where only L is bounded
     objective: Objective
     bounds: Bounds
-    order: int  # samples that the learning filter looks ahead, or samples of K
+    order: int  # number of coefficients of L, or of K in L = B K
     structure: str = "full"  # or "diagonal"
     base: LearningFilter | RegularisedInverse | None = None  # B of L = B K, in units of `scale`
-    formula_will_do: bool = False  # whether L = B is wanted, if it keeps all bounds
+    formula_will_do: bool = False  # whether L = B is the design if L = B meets all bounds
     defaults_chosen: tuple[str, ...] = ()  # the defaults that were chosen, in words
-    costs: tuple[Finding, ...] = ()  # large costs of what was chosen
+    costs: tuple[Finding, ...] = ()  # warnings about defaults that cost much performance
 
     @property
     def M_max(self) -> float:
@@ -135,17 +138,17 @@ class Problem:
         return self.m < self.p
 
     def turned(self, X) -> np.ndarray:
-        """Return P, L or B as the solver uses them: transposed if M acts on v."""
+        """Return P, L or B turned, which means transposed if M acts on v."""
         return X.swapaxes(-2, -1) if self.of_v else X
 
     @property
     def radius(self) -> np.ndarray | None:
-        """Radius r, (n,): bounds hold for P + Delta, ||Delta|| <= r; None: for P alone."""
+        """Radius r, (n,): bounds hold for P + Delta with ||Delta|| <= r; None: only for P."""
         return self.response.radius
 
     @property
     def scale(self) -> Scale:
-        """What counts as equally large in each output and learned input."""
+        """The sizes that count as equally large in each output and learned input."""
         return self.response.scale
 
     @property
@@ -156,7 +159,7 @@ class Problem:
 
     @property
     def channels(self) -> int:
-        """Number of channels on the side on which trials contract: the smaller of p and m."""
+        """Number of channels of M: the smaller of p and m."""
         return min(self.p, self.m)
 
     @property
@@ -165,10 +168,11 @@ class Problem:
         return self.objective.value(np.abs(self.Q))
 
     def gap_scale(self, value) -> float:
-        """Return the scale of relative gaps: the objective, or a hundredth of it for L = 0.
+        """Return the number to which a duality gap is relative.
 
-        The larger of both counts. Below this hundredth, one trial leaves next to nothing, and
-        rounding decides the rest.
+        The number is the objective, but at least a hundredth of the objective for L = 0. If the
+        objective is smaller than this, one trial leaves almost no error, and rounding decides the
+        digits of the objective.
         """
         return max(value, 1e-2 * self.idle)
 
@@ -179,28 +183,29 @@ class Problem:
 
     @property
     def robust(self) -> bool:
-        """Whether the bounds hold for more plants than the nominal one."""
+        """Whether the bounds hold for further plants in addition to the nominal plant."""
         return self.radius is not None or len(self.plants) > 1
 
     @property
     def singular_within_radius(self) -> np.ndarray:
         """Whether the radius contains a singular plant, at each frequency, shape (n,)."""
-        # In some direction no learning filter acts on such a plant: sigma_max(M) >= |Q|.
+        # A singular plant has a direction without gain, in which sigma_max(M) >= |Q| for any L.
         if self.radius is None:
             return np.zeros(len(self.omega), dtype=bool)
         smallest = np.linalg.svd(self.plants, compute_uv=False)[..., -1].min(axis=0)
         return self.radius >= smallest
 
     def M(self, L, number: int = 0) -> np.ndarray:
-        """Return M of a plant at `omega`, from the response of L there."""
+        """Return M of the plant with this number at `omega`, from the response L of the filter."""
         return convergence_matrix(self.plants[number], self.Q, L)
 
     def affine(self, plant, at, radius) -> tuple[np.ndarray, np.ndarray]:
-        """Return F and T of G = F + T K for plants and frequencies, which are given by number.
+        """Return F and T of the bounded matrices G = F + T K.
 
-        Without a radius, G is M = Q I - Q P L. With a radius r, G is [M; |Q| r L], see
-        :class:`Cuts`. If P has fewer outputs than inputs, let B = U R with U* U = I. L = B K then
-        has the singular values of R K.
+        `plant` and `at` are the numbers of plants and the indices of frequencies. If `radius` is
+        None, G is M = Q I - Q P L. With a radius r, G is [M; |Q| r L], see :class:`Cuts`. If P is
+        not square, let B = U R with U* U = I. G then contains R K instead of L = B K, which has the
+        same singular values.
         """
         identity, Q = np.eye(self.channels), self.Q[at, None, None]
         T = self.through_base(-Q * self.turned(self.plants[plant, at]), at)
@@ -214,10 +219,11 @@ class Problem:
     def L_bound(self) -> np.ndarray:
         """W of the bounds on L, shape (n, m, m): sigma_max(W L) <= 1 expresses all bounds.
 
-        With a base, sigma_max(W K) <= 1 expresses the bounds on K. Without a base, W is I over the
-        least limit at each frequency, (46). If L has no bound, coefficients in doubles determine M
-        to about 1e-9 only up to a gain of 1e7 of Q P L, for each input by itself. The bound is then
-        this gain. For the least gain, W contains L_max alone, see `L_bound_beside`.
+        If L = B K, sigma_max(W K) <= 1 expresses the bounds on L and K. Otherwise W is the identity
+        divided by the least limit at each frequency, (46). If L has no bound, each input gets a
+        bound that keeps the gain of Q P L below `MOST_GAIN`, 1e7. For a larger gain, coefficients
+        in doubles would not determine M to about 1e-9. If the objective is the least gain, W
+        contains only L_max; `L_bound_beside` then has the bound L_high.
         """
         bounds, identity = self.bounds, np.eye(self.channels)
         if self.objective.kind == "gain":
@@ -235,31 +241,37 @@ class Problem:
 
     @property
     def L_bound_beside(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the frequencies at which L has a further bound, and W, (k, m, m)."""
+        """Indices of the frequencies of the bound beside `L_bound`, and its W, (k, m, m).
+
+        Only the objective "gain" has such a bound.
+        """
         limit = replace(self.bounds, L_max=None).limit_on_L(self.omega)
         at = np.flatnonzero(np.isfinite(limit) & (self.objective.kind == "gain"))
         return at, np.eye(self.channels) / limit[at, None, None]
 
     @property
     def first_sample(self) -> int:
-        """The first sample of L, or of K, which looks as far back as ahead."""
+        """The power of z of the first coefficient: K looks as far back as ahead, L only ahead."""
         return 1 if self.base is None else -((self.order - 1) // 2)
 
     @cached_property
     def of_K(self) -> np.ndarray | None:
-        """The turned L for K = z at omega, in units of `scale`; None if L is K."""
+        """B times a shift in time, turned, at omega: L = `of_K` times `K(solution)`.
+
+        The response is in units of `scale`. It is None if there is no base, so that L is K.
+        """
         if self.base is None:
             return None
         shift = np.exp(1j * (self.first_sample - 1) * self.omega * self.Ts)
         return self.turned(self.base.frequency_response(self.omega)) * shift[:, None, None]
 
     def through_base(self, T, at):
-        """Turn T of G = F + T L into T of G = F + T K / z^(first_sample - 1), at some omega."""
+        """Convert T of G = F + T L into T of G = F + T K / z^(first_sample - 1)."""
         return T if self.base is None else T @ self.of_K[at]
 
     @property
     def assumptions(self) -> tuple[str | Assumed, ...]:
-        """The defaults that were chosen, and the assumptions on P, its radius and Q."""
+        """The chosen defaults, and the assumptions on P, its radius and Q, in words."""
         more, response, lost = [], self.response, self.singular_within_radius
         chosen = [f"chosen: {'; '.join(self.defaults_chosen)}"] if self.defaults_chosen else []
         if isinstance(self.lowpass, SampledQ):
@@ -281,15 +293,15 @@ class Problem:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The reason why the bounds cannot hold where P is not known; empty if they can."""
+        """A finding if no filter can meet M_max above the last sample of P; else empty."""
         Q = np.abs(self.Q[-1])
         if self.response.beyond is None or self.M_max > Q:
             return ()
         return (Finding("unmeasured", Q, self.M_max, f"above {self.omega[-1]:.4g} rad/s"),)
 
     def scaled_filter(self, coefficients) -> Filter:
-        """Return the learning filter with coefficients of L, or of K, all in units of `scale`."""
-        # B of a model takes account of the end of a trial: K must not cut off the error there
+        """Return L from coefficients of L, or of K in L = B K, all in units of `scale`."""
+        # B of a model treats the end of a trial exactly: K must not truncate the error there
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
         K = LearningFilter(coefficients, self.Ts, ends, self.first_sample)
         if self.base is None:
@@ -300,11 +312,14 @@ class Problem:
 
     @property
     def poles_of_L(self) -> np.ndarray:
-        """The poles of any filter of this order, see :mod:`.evidence.peak`."""
+        """The poles of L for any coefficients of this order, see :mod:`.evidence.peak`."""
         return self.scaled_filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def K(self, solution: "Solution") -> np.ndarray:
-        """Return the turned response of K / z^(first_sample - 1) at omega; without a base, of L."""
+        """Return the response of a solution's coefficients at omega, turned.
+
+        This is K / z^(first_sample - 1) if L = B K, and L otherwise.
+        """
         return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
 
     def L(self, solution: "Solution") -> np.ndarray:
@@ -315,28 +330,31 @@ class Problem:
 
 @dataclass(frozen=True)
 class Cuts:
-    """Multipliers of bounds on G = M for other plants, or on G = [M; |Q| r L] for a radius r."""
+    """Bounds for further plants or for a radius r, which the solver had to add, and multipliers.
+
+    The bounded matrix is G = M, or G = [M; |Q| r L] for a radius r.
+    """
 
     plant: np.ndarray  # (c,): number of the plant of each bound
-    frequency: np.ndarray  # (c,): index of its frequency
+    frequency: np.ndarray  # (c,): index of the frequency of each bound
     N: np.ndarray  # (c, rows of G, m), complex: multipliers of G
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A learning filter, and the multipliers from which its optimality can be proven."""
+    """A learning filter, and the multipliers by which its optimality can be proven."""
 
-    # (s, s, order): of L(z) = sum_k C_k z^k, or of K, turned, in units of `scale`
+    # (s, s, order): C_k of L(z) = sum_k C_k z^k, or of K in L = B K, turned, in units of `scale`
     coefficients: np.ndarray
     # (n, s, s), complex: multipliers of the nominal M, and of L or K
     U: np.ndarray
     V: np.ndarray
-    largest: float  # sigma_max(M); of W L, for the least gain
-    cuts: Cuts | None = None  # the cuts that were needed
+    largest: float  # sigma_max(M), or sigma_max(W L) if the objective is the least gain
+    cuts: Cuts | None = None  # the bounds that the solver had to add
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """Return M from responses P (..., n, p, m), L (..., n, m, p) and Q (n,).
+    """Compute M from responses P (..., n, p, m), L (..., n, m, p) and Q (n,).
 
     M = P Q (P^-1 - L) = Q (I - P L). With fewer inputs than outputs, M = Q (I - L P).
     """

@@ -1,14 +1,16 @@
-"""What is to be learned for a reference: the spectrum of the first error, e_1 = (I - P) r.
+"""The error in the first trial of a reference r, which is to be learned, and its spectrum.
 
-If v is not added to references one for one, the first error is e_1 = (I - P_r) r. Here P_r is the
-response of the loop to references, which counts as zero if it is not known.
+If v is added to the reference of each output, the first error is e_1 = (I - P) r. Otherwise the
+first error is e_1 = (I - P_r) r. Here P_r is the response of the loop to references, which is taken
+to be zero if it is not known.
 
 With E(w) = sum_p e_1(p) exp(-j w p), w = omega Ts, Parseval's theorem is
 
     1/N sum_p e_1(p) e_1(p)' = 1 / (pi N) Re integral_0^pi E(w) E(w)* dw.
 
-For each frequency, take the integral from the middle below to the middle above, between neighbours.
-The result is the power of e_1 at this frequency.
+Here the samples of a trial have the numbers p = 1 ... N. The integral over the interval around a
+frequency is the power of e_1 that belongs to this frequency. Each interval ends halfway to the two
+neighbouring frequencies.
 """
 
 import numpy as np
@@ -17,16 +19,16 @@ from scipy.integrate import cumulative_trapezoid, trapezoid
 
 from ilctools.models import frequency_response
 
-FINER = 16  # times as many lines as the signal has are summed, so that no narrow line is missed
-FADING = 10  # a trial is so many times as long as an error at its end takes to fade out
-TRIALS = 10  # whose error is predicted
+FINER = 16  # lines of the summed spectrum, relative to the signal, so that no narrow line is missed
+FADING = 10  # length of a trial relative to the time in which e_1 fades out after the end
+TRIALS = 10  # number of trials whose error is predicted
 
 
 def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
     """Return angles omega Ts from 0 to pi, and the spectrum E of e_1 at these angles, (angle, m).
 
-    The spectrum contains the trial alone: what the loop does after the end of the trial does not
-    count. After the end, e_1 fades along a straight line. `r` (time, m) is in the units of the
+    The spectrum contains only the error during the trial. After the end of the trial, e_1 is taken
+    to fade to zero along a straight line. `r` (time, m) is the reference in the units of the
     response.
     """
     N, length = len(r), FINER * len(r)
@@ -46,7 +48,7 @@ def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nominal(response, angles):
-    """Frequencies and the nominal P there; beyond its samples, P is as at their ends."""
+    """Return frequencies and the nominal P at them; outside its samples, P is as at their ends."""
     omega = angles / response.Ts
     if response.models[0] is None:
         omega = omega.clip(*response.omega[[0, -1]])
@@ -56,7 +58,8 @@ def _nominal(response, angles):
 def error_weights(spectrum, angles) -> np.ndarray:
     """Return weights |E| d omega at angles omega Ts, (n,), which sum to one.
 
-    No narrow line is missed, even if the frequencies are far apart.
+    `spectrum` is the result of :func:`first_error`. A narrow line of the spectrum counts even if it
+    lies between two frequencies.
     """
     fine, E = spectrum
     up_to = cumulative_trapezoid(np.sum(np.abs(E) ** 2, axis=1), fine, initial=0)
@@ -73,8 +76,8 @@ def error_weights(spectrum, angles) -> np.ndarray:
 def unreachable_rms(problem) -> np.ndarray:
     """Return the RMS of the part of the first error that no v removes, in the plant's units, (p,).
 
-    With fewer learned inputs than outputs, this part is (I - P P^+) e_1, as v = P^+ e_1 leaves the
-    least error.
+    If there are fewer learned inputs than outputs, this part is (I - P P^+) e_1, because
+    v = P^+ e_1 leaves the least error. P^+ is the pseudoinverse of P.
     """
     angles, E = problem.objective.first_error
     left = E - _back(problem.response, reachable(problem.response, (angles, E))[1])
@@ -82,9 +85,10 @@ def unreachable_rms(problem) -> np.ndarray:
 
 
 def reachable(response, first_error) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles, and the part of the first error that some v removes, P P^+ e_1.
+    """Return angles, and P P^+ e_1, the part of the first error that some v removes.
 
-    The part is given in the directions of P.
+    If P has directions without gain, the part is given in the other directions, see
+    :mod:`ilctools.response.directions`.
     """
     (angles, E), directions = first_error, response.directions
     E = E if directions is None else E @ directions.U
@@ -95,12 +99,12 @@ def reachable(response, first_error) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _back(response, E):
-    """A spectrum in the directions of P, (angle, any), as one of the outputs, (angle, p)."""
+    """Convert a spectrum in the directions of P, (angle, any), to the outputs, (angle, p)."""
     return E if response.directions is None else E @ response.directions.U.T
 
 
 def _power(E, angles):
-    """Mean square of each output of a signal, from its spectrum (angle, p)."""
+    """Compute the mean square of each output of a signal from its spectrum (angle, p)."""
     samples = 2 * (len(angles) - 1) / FINER
     return trapezoid(np.abs(E) ** 2, angles, axis=0) / (np.pi * samples)
 
@@ -109,16 +113,17 @@ def predicted_rms(problem, L) -> dict[int, float]:
     """Predict the RMS of the error in trials 1 to 10, in the plant's units.
 
     The prediction starts from the spectrum of the first error and uses the nominal plant. By the
-    law (23), e_{k+1} = Q (I - P L) e_k + (1 - Q) e_1. Where Q is less than one, a part of the first
-    error remains. The prediction is without noise, and for trials without ends.
+    law (23) of the paper, e_{k+1} = Q (I - P L) e_k + (1 - Q) e_1. Where Q is less than one, a part
+    of the first error remains. The prediction contains no noise, and no effects of the ends of a
+    trial.
     """
     angles, E = problem.objective.first_error
     omega, P = _nominal(problem.response, angles)
     Q, L = (f.frequency_response(omega) for f in (problem.lowpass, L))
-    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, on whichever side
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # of the error, even if m < p
     directions, rms = problem.response.directions, {}
     along = E if directions is None else E @ directions.U
-    e, others = along[..., None], E - _back(problem.response, along)  # no v changes the others
+    e, others = along[..., None], E - _back(problem.response, along)  # which no v changes
     stays = (1 - Q)[:, None, None] * e
     for trial in range(1, TRIALS + 1):
         power = _power(_back(problem.response, e[..., 0]) + others, angles)

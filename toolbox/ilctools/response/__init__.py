@@ -1,1 +1,1 @@
-"""What is known of P: one object, checked and made at the door, and not checked again."""
+"""What is known of P: one object, which :mod:`.door` makes and checks once."""

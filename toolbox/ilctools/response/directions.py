@@ -1,13 +1,14 @@
-"""Directions in which a plant never passes anything, such as two sensors at one place.
+"""Directions of outputs or inputs in which a plant has no gain at any frequency.
 
-If U' P V holds all of P, with orthonormal columns in U and V,
+An example is the difference between two sensors at the same place, which no input moves. Let U and
+V have orthonormal columns, such that at all frequencies
 
-    P = U (U' P V) V',
+    P = U (U' P V) V'.
 
-then the error in the directions orthogonal to U remains, whatever v is. A v orthogonal to V moves
-nothing. A filter L for U' P V therefore gives the filter V L U' for P, with the same M in the
-directions that are left. M does not act on the side that has more channels, and no direction is
-left out there.
+The error in the directions orthogonal to U then remains for any v. A v orthogonal to V moves no
+output. A filter L is therefore designed for U' P V, and V L U' is the filter for P. Both have the
+same M in the directions of U and V. Among outputs and inputs, M acts on the side with fewer
+channels. Only on this side, directions are left out.
 """
 
 from dataclasses import dataclass
@@ -15,20 +16,23 @@ from dataclasses import dataclass
 import control
 import numpy as np
 
-NOTHING = 1e-12  # relative to the largest singular value of all responses side by side: rounding
-NAMED = 0.05  # share of a channel in a direction, above which the channel is named
+NOTHING = 1e-12  # relative to the largest singular value of all responses: rounding
+NAMED = 0.05  # a message names the channels with a larger share in a direction
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """The output directions that P moves and the input directions that move P, orthonormal."""
+    """The output directions that inputs can move, and the input directions that move outputs.
+
+    The directions are the orthonormal columns of U and V.
+    """
 
     U: np.ndarray  # (p, p or less)
     V: np.ndarray  # (m, m or less)
 
     @classmethod
     def passed_by(cls, responses) -> "Directions | None":
-        """Find the directions from responses (plants, n, p, m); None if P passes all directions."""
+        """Find the directions from responses (plants, n, p, m); None if all directions count."""
         p, m = responses.shape[2:]
         parts = np.concatenate([responses.real, responses.imag]).reshape(-1, p, m)
         U = _spanned(np.moveaxis(parts, 1, 0).reshape(p, -1)) if p <= m else np.eye(p)
@@ -47,11 +51,11 @@ class Directions:
 
     @property
     def back(self) -> "Directions":
-        """The directions that lead back: they turn U' P V into P again."""
+        """The directions with which `of` converts U' P V back into P."""
         return Directions(self.U.T, self.V.T)
 
     def in_words(self, outputs, inputs) -> str:
-        """Describe what P does not pass, by the names of its channels."""
+        """Describe the directions in which P has no gain, by the names of the channels."""
         texts = [
             *(
                 f"no input moves the combination {text} of the outputs"
@@ -66,16 +70,16 @@ class Directions:
 
 
 def _spanned(rows):
-    """Orthonormal columns that span the column space of a matrix with few rows."""
+    """Return orthonormal columns that span the column space of a matrix with few rows."""
     U, S, _ = np.linalg.svd(rows, full_matrices=False)
     least = NOTHING * S.max(initial=0)
     if least < S.min(initial=np.inf):
-        return np.eye(len(rows))  # no direction is preferred
+        return np.eye(len(rows))  # the channels themselves span the space
     return U[:, least < S]
 
 
 def _beside(columns, names):
-    """The directions that are orthogonal to the columns, in words."""
+    """Yield the directions that are orthogonal to the columns, in words."""
     rest = np.linalg.svd(columns)[0][:, columns.shape[1] :]
     for direction in rest.T:
         direction = direction * np.sign(direction[np.abs(direction).argmax()])

@@ -1,4 +1,4 @@
-"""The door: turns plants, in whatever form they are known, into one Response."""
+"""Convert plants, which may be models, loops, tables or measured responses, into one Response."""
 
 import reprlib
 from dataclasses import replace
@@ -19,16 +19,16 @@ from ilctools.response.samples import SAME_FREQUENCY, Assumed, Samples
 from ilctools.response.scale import Scale, scale_of
 from ilctools.signals import Signals, check_match
 
-CHOSEN_FREQUENCIES = 1000  # of a grid that is chosen by default; the paper has as many
-LOWEST_CUTOFF = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
-DECADES = 3  # of a chosen grid below the cut-off of Q, as in the paper: 1e-4 to 0.1 rad/s
-FROM_ONE = 0.3  # up to which P counts as the identity
-# relative, of a table: digits of its last frequency, and of P, which is real there
+CHOSEN_FREQUENCIES = 1000  # number of frequencies of the default grid, as in the paper
+LOWEST_CUTOFF = 1e-4  # share of the Nyquist frequency: the lowest default cut-off of Q
+DECADES = 3  # of the default grid below the cut-off of Q, as in the paper: 1e-4 to 0.1 rad/s
+FROM_ONE = 0.3  # distance from the identity up to which P counts as the identity
+# relative accuracy of a table: of its last frequency, and of P, which is real at Nyquist's
 PRINTED_DIGITS = 1e-6
 
 
 class Accuracy(NamedTuple):
-    """How well P is known, in units of `scale`. The names are fields of :class:`.Response`."""
+    """How accurately P is known, in units of `scale`, as fields of :class:`.Response`."""
 
     radius: np.ndarray | None = None
     assumptions: tuple[str | Assumed, ...] = ()
@@ -36,7 +36,7 @@ class Accuracy(NamedTuple):
 
 
 class References(NamedTuple):
-    """What references do beside v. The names are fields of :class:`.Response`."""
+    """How the plant responds to references, as fields of :class:`.Response`."""
 
     added: bool
     of_reference: control.StateSpace | None = None
@@ -45,11 +45,11 @@ class References(NamedTuple):
 def response_of(
     P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None, like: Response | None = None
 ) -> Response:
-    """Check P, which must match Q if there is a Q, and make one Response of what is known of P.
+    """Check a plant P, or a list of plants, and convert it into one Response.
 
-    The arguments are as for `synthesise`. Without `Ts`, Q or P gives the sampling period.
-    Without `omega`, frequencies are chosen that suit Q. If a response `like` is passed, its scale
-    and directions are used.
+    The arguments are as for `synthesise`. If `Ts` is not passed, the sampling period is taken from
+    Q or P. If `omega` is not passed, the frequencies are taken from P, or chosen from the cut-off
+    of Q. If another response `like` is passed, its scale and its directions are used.
     """
     plants = named(P)
     _refuse_no_filter(Q)
@@ -80,7 +80,7 @@ def response_of(
 
 
 def _units(like, scale, signals, p, m) -> Scale:
-    """The scale of the channels: that of `like` if it is passed, else the stated one."""
+    """Return the scale of `like` if `like` is passed, else the scale that the user stated."""
     if like is None:
         return scale_of(scale, *_names(signals, p, m))
     outputs, inputs = like.scale.of_P.shape
@@ -92,7 +92,7 @@ def _units(like, scale, signals, p, m) -> Scale:
 
 
 def _refuse_no_filter(Q):
-    """Refuse a Q that is a number or runs in one direction only."""
+    """Refuse a Q that is a number, or a filter that runs in one direction only."""
     if isinstance(Q, control.LTI | Real):
         raise ValueError(
             f"Q = {reprlib.repr(Q)} is no filter, or a filter that runs in one direction only: "
@@ -101,7 +101,7 @@ def _refuse_no_filter(Q):
 
 
 def _on_omega(plants, uncertainty, omega, Ts, Q):
-    """Plants and radius with ordered axes, and omega, which must be the same for all of them."""
+    """Return plants and radius with their axes in order, and the omega that all plants share."""
     if isinstance(omega, ZeroPhaseButterworth):
         raise ValueError(
             f"omega = {reprlib.repr(omega)} must be frequencies: Q comes second, as in "
@@ -120,7 +120,7 @@ def _on_omega(plants, uncertainty, omega, Ts, Q):
 
 
 def _accuracy(P, nominal, omega, uncertainty, scale):
-    """The radius and its assumptions, from a measured response or from the user's argument."""
+    """Return the radius of a measured response, or of the user, with its assumptions."""
     if isinstance(P, Measured):
         if uncertainty is not None:
             raise ValueError(
@@ -129,7 +129,7 @@ def _accuracy(P, nominal, omega, uncertainty, scale):
             )
         _, radius = P.on(omega, CONFIDENCE, scale)
         low = None
-        if P.estimated:  # it also knows P below omega, as a table does not
+        if P.estimated:  # an estimate from a record also gives P below omega, a table does not
             below = np.linspace(0, omega[0], POINTS_BELOW)
             low = Samples(below, *P.on(below, CONFIDENCE, scale))
         return Accuracy(_unless_zero(radius), P.statements(omega, CONFIDENCE), low)
@@ -145,10 +145,10 @@ def _unless_zero(radius):
 
 
 def _references(plant, scale) -> References:
-    """Whether v is added to references one for one; else the loop's response to references.
+    """Return whether v is added to references, or else the loop's response to references.
 
-    A loop may not know its response to references. A model that is not square is taken to have no
-    references of its own.
+    If the loop does not state its response to references, this response is None. A model that is
+    not square is taken to have no references.
     """
     if not isinstance(plant, Loop):
         return References(len(scale.y) == len(scale.v))
@@ -160,7 +160,7 @@ def _references(plant, scale) -> References:
 
 
 def _is_one(loop, omega):
-    """Whether an integrating loop has a P near the identity, at one frequency."""
+    """Check if the P of an integrating loop is near the identity at a frequency omega, (1,)."""
     if not isinstance(loop, CurrentTrialLoop):
         return False
     [P] = loop.frequency_response(omega)
@@ -168,7 +168,7 @@ def _is_one(loop, omega):
 
 
 def named(P) -> dict:
-    """Return one plant or several in a dict by their names in messages, the nominal one first."""
+    """Return a dict of the plants by the names that messages use, with the nominal plant first."""
     if isinstance(P, np.ndarray) and P.ndim == 4:
         P = [*P]
     elif labels.PLANT in getattr(P, "dims", ()):
@@ -190,16 +190,16 @@ def named(P) -> dict:
 
 
 def _is_plant(value):
-    """Whether an entry of a list is a plant by itself, and not the response at one frequency."""
+    """Check if an entry of a list is a plant, not the response of a plant at one frequency."""
     known = isinstance(value, Loop | control.LTI | Measured) or labels.is_labelled(value)
     try:
         return known or np.ndim(value) == 3
-    except (TypeError, ValueError):  # rows of unequal lengths are refused later, when they are read
+    except (TypeError, ValueError):  # rows of unequal lengths are refused later, by `named`
         return False
 
 
 def _period(*systems):
-    """The sampling period of Q, or else of the first plant that has one."""
+    """Return the sampling period of the first system, Q or a plant, that has one."""
     for system in systems:
         system = getattr(system, "loop", system)  # of a measured response
         period = getattr(system, "Ts", getattr(system, "dt", None))
@@ -211,9 +211,10 @@ def _period(*systems):
 def frequencies(plants, Ts, Q=None) -> np.ndarray:
     """Choose the design frequencies, rad/s.
 
-    If a plant is a table of python-control, its own frequencies are used. For models the grid is
-    logarithmic and ends at the Nyquist frequency. With a measured plant, the grid begins where the
-    plant is resolved. Without Q, the grid begins as for the lowest cut-off.
+    If a plant is a table of python-control, the frequencies of the table are used. Otherwise the
+    grid is logarithmic and ends at the Nyquist frequency. The grid begins `DECADES` decades below
+    the cut-off of Q. If Q is None, the grid begins as for the lowest cut-off. If a plant is a
+    measured response, the grid does not begin below the first frequency that its record resolves.
     """
     sampled = [plant for plant in plants if not isinstance(plant, Loop | control.LTI)]
     for plant in plants:
@@ -235,7 +236,8 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
 def _first_of(measured, Q):
     """The lowest frequency at which a measured response is used.
 
-    The response is resolved from there on, unless the cut-off of Q is lower.
+    This is the first frequency that the record resolves. If the cut-off of Q is lower, it is the
+    first frequency at which the response is known.
     """
     omega = measured.omega
     known = omega[getattr(measured, "known", omega > 0)][0]
@@ -245,7 +247,10 @@ def _first_of(measured, Q):
 
 
 def _responses(plants, omega, Ts):
-    """The plants as models, None for samples, and their responses on omega, (plants, n, p, m)."""
+    """Return models of the plants, and their responses on omega, (plants, n, p, m).
+
+    The model of a plant that is known by samples is None.
+    """
     models, responses, shape = [], [], (len(omega), "outputs", "inputs")
     for name, plant in plants.items():
         if isinstance(plant, Measured):
@@ -260,13 +265,13 @@ def _responses(plants, omega, Ts):
 
 
 def _names(signals, p, m):
-    """Names of outputs and of learned inputs, or their numbers if they have no names."""
+    """Return the names of outputs and of learned inputs, or numbers if they have no names."""
     labels = signals.labels or [*range(p), *range(m)]
     return labels[:p], labels[p:]
 
 
 def _in_units(scale, models, responses):
-    """The plants in units of `scale`."""
+    """Return models and responses of the plants in units of `scale`."""
     responses = responses * scale.of_P
     arguments.representable("P", responses, "in units in which its gain is nearer to one")
     if scale.is_one:
@@ -280,7 +285,7 @@ def _in_units(scale, models, responses):
 
 
 def _along(response, directions) -> Response:
-    """A response in the given directions: restricted to them, or extended if they lead back."""
+    """Return a response in the given directions, U' P V, see `directions`."""
     low = response.low
     if low is not None:
         low = Samples(low.omega, directions.of(low.P), low.radius)
@@ -290,14 +295,17 @@ def _along(response, directions) -> Response:
 
 
 def in_all_directions(response: Response) -> Response:
-    """Return a response with the directions that were left out."""
+    """Return a response for all channels, with the directions that were left out."""
     if response.directions is None:
         return response
     return replace(_along(response, response.directions.back), directions=None)
 
 
 def in_own_units(response: Response) -> Response:
-    """Return a response in the plants' own units; its radius covers the one in scaled units."""
+    """Return a response in the plants' own units.
+
+    All plants within the radius in scaled units are within the returned radius.
+    """
     response = in_all_directions(response)
     back, radius, low = response.scale.inverse, response.radius, response.low
     models, P = _in_units(back, response.models, response.P)
@@ -311,7 +319,7 @@ def in_own_units(response: Response) -> Response:
 
 
 def _refuse_other_units(plant, omega, P, Ts):
-    """Refuse omega in Hz or rad/sample: it ends at the Nyquist frequency, where P is real."""
+    """Refuse omega in Hz or rad/sample, if it ends at the Nyquist frequency, where P is real."""
     if isinstance(plant, Measured):
         omega, P = plant.omega, plant.response
     rounding = PRINTED_DIGITS * np.abs(P[-1]).max()

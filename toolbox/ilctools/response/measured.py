@@ -11,37 +11,39 @@ from ilctools.response.samples import Assumed, Samples
 from ilctools.response.scale import scale_of
 from ilctools.singular_values import largest_singular_values
 
-CONFIDENCE = 0.99  # in a measured response
-MODEL_ERROR = 0.01  # of the largest gain: a model need not be nearer to the samples than this,
-MOST_MODEL_ERROR = 0.1  # and a model that is further away is refused
-ROWS = 200  # of the Hankel matrix, samples
-STATES = 60  # of a model at most: an eigenvalue problem of this size takes milliseconds
+CONFIDENCE = 0.99  # probability that the true P lies within the radius in a design
+MODEL_ERROR = 0.01  # share of the largest gain: a model need not be nearer to the response,
+MOST_MODEL_ERROR = 0.1  # and a model that is farther from the response than this is refused
+ROWS = 200  # samples: number of rows of the Hankel matrix
+STATES = 60  # most states of a model: an eigenvalue problem of this size takes milliseconds
 
 
 class Measured:
-    """A response that was measured at some frequencies, and the region in which the truth lies.
+    """A frequency response that was measured at some frequencies, and how accurate it is.
 
-    Each subclass has the `response` (n, p, m) at `omega` (n,), rad/s, and the `loop` whose response
-    it is. The `findings` speak against the measurement. For a table, `estimated` is False. Each
-    subclass implements ``_radius(confidence, jointly)``, ``_basis(omega, confidence)`` and
-    ``_scaled(of_P)``. A subclass whose splines use other samples than `response` also
-    implements ``_samples(confidence)``. A subclass without splines implements
-    ``_anywhere(omega, confidence)`` instead.
+    The true response P differs from the measured one by Delta. The radius is a bound on ||Delta||.
+    Each subclass has the `response` (n, p, m) at `omega` (n,), rad/s, and the `loop` that was
+    measured. The attribute `findings` has the warnings about the measurement. The attribute
+    `estimated` is False if a user passed a table. Each subclass implements ``_radius(confidence,
+    jointly)``, ``_basis(omega, confidence)`` and ``_scaled(of_P)``. A subclass whose splines use
+    other samples than `response` also implements ``_samples(confidence)``. A subclass without
+    splines implements ``_anywhere(omega, confidence)`` instead.
     """
 
     findings = ()
-    lines = None  # for an excited record: P at its lines, with noise and distortion
-    estimated = True  # from a record, whose times fix the unit of omega; P is known at rest
+    lines = None  # for a periodic excitation: P at the excited frequencies, noise and distortion
+    estimated = True  # from a record, whose sampling period fixes the unit; P is known at rest
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
-        """Return the radius of ||Delta||, the largest singular value, that covers the truth.
+        """Return a bound on ||Delta||, the largest singular value of the error of `response`.
 
         Parameters
         ----------
         confidence : float
-            Probability, between 0 and 1, that the truth lies within.
+            Probability, between 0 and 1, that the true response lies within the radius.
         jointly : bool
-            Whether the probability is for all frequencies at once. Default: for each by itself.
+            Whether the probability is for all frequencies together. Default: for each frequency
+            separately.
 
         Returns
         -------
@@ -51,23 +53,24 @@ class Measured:
         return self._radius(probability(confidence), arguments.flag("jointly", jointly))
 
     def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Return response and radius at other frequencies, for the synthesis.
+        """Return the response and its radius at any frequencies, for the synthesis.
 
         Parameters
         ----------
         omega : array_like, shape (n,)
             Frequencies, rad/s.
         confidence : float
-            Probability that the truth lies within the radius at all frequencies that are known.
+            Probability that the true response lies within the radius at all measured frequencies.
         scale : dict or array_like, shape (m,), optional
-            Units of the channels, for both response and radius, as for
-            :func:`ilctools.synthesise`.
+            Sizes that count as one in each channel, as for :func:`ilctools.synthesise`. Response
+            and radius are then in these units.
 
         Returns
         -------
         response : ndarray, shape (n, p, m), complex
         radius : ndarray, shape (n,)
-            :meth:`basis` states what is assumed between and beyond the measured frequencies.
+            The radius at `omega`. :meth:`basis` states what is assumed between and outside the
+            measured frequencies.
         """
         omega, own = np.abs(arguments.row("omega", omega)), self
         if scale is not None:
@@ -79,14 +82,17 @@ class Measured:
         return Samples(self.omega, self.response, self.radius(confidence, jointly=True))
 
     def _anywhere(self, omega, confidence):
-        """By :mod:`.samples`; above the last line, P may be anything not larger than there."""
+        """Interpolate P by :mod:`.samples`.
+
+        Above the last line, P may have any value that is not larger than at this line.
+        """
         samples = self._samples(confidence)
         P, radius = samples.at(omega)
         above = samples.outside(omega) & (omega > samples.omega[-1])
         return P, radius + np.where(above, 2 * largest_singular_values(P), 0)
 
     def _between(self, omega, confidence):
-        """What is assumed between and beyond the lines, at omega."""
+        """Yield what is assumed about P at omega between and outside the measured lines."""
         yield Assumed(
             "between the lines, the error of the splines of P is not larger than at "
             "lines that are left out"
@@ -100,9 +106,9 @@ class Measured:
             yield Assumed(f"above the last line, {share}, P is not larger than at this line")
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """Say what is known, and what :meth:`on` assumes in addition on `omega`.
+        """Say in words what was measured, and what :meth:`on` assumes in addition at `omega`.
 
-        The findings come last.
+        The last lines are the findings, which are warnings about the measurement.
         """
         return tuple(
             map(str, self.statements(arguments.row("omega", omega), probability(confidence)))
@@ -129,22 +135,24 @@ class Measured:
     def model(self) -> control.StateSpace:
         """Fit a stable model in discrete time to the response, with its names and few states.
 
-        The method is the Hankel matrix of the impulse response (S. Kung, 12th Asilomar Conference
-        (1978) 705-714). The impulse response follows from P at all frequencies, as :meth:`on`
-        returns them. B and D are then fitted to the lines by least squares. The model has the
-        fewest states with which it lies, at all lines, within the larger of two distances. One
-        distance is the radius, the other a hundredth of the largest gain.
+        The states are found from the Hankel matrix of the impulse response (S. Kung, 12th Asilomar
+        Conference (1978) 705-714). The impulse response is the inverse Fourier transform of P,
+        which :meth:`on` returns at all frequencies. B and D are then fitted to the measured lines
+        by least squares. The model has the fewest states with which its distance from the response
+        is small enough at all lines. The limit on the distance is the radius or a hundredth of the
+        largest gain, whichever is larger.
 
         Returns
         -------
         control.StateSpace
-            For ClosedLoop, for trials and for :class:`ilctools.NormOptimal`. Limits of outputs use
-            the model, too, and add its distance from the response to the radius.
+            The model, for :class:`ilctools.ClosedLoop`, for simulated trials and for
+            :class:`ilctools.NormOptimal`. If a law limits outputs, it also uses such a model, and
+            adds the distance of the model from the response to the radius.
 
         Raises
         ------
         ValueError
-            If a table has no sampling period.
+            If the response is a table without a sampling period.
         LogError
             If the error of the best model exceeds a tenth of the largest gain.
         """
@@ -177,11 +185,12 @@ class Measured:
         return best
 
     def plot(self) -> Figure:
-        """Draw gain and phase of each entry of P in its own column, with the joint radius of 99 %.
+        """Draw gain and phase of P, with the radius for a joint probability of 99 %.
 
-        Where the radius exceeds nine tenths of the gain, P is hardly identified. The radius is then
-        drawn down to a tenth of the gain. For an excited rig, the plot also shows the standard
-        deviations of P that come from noise and from what is not linear.
+        Each entry of P has its own column. If the radius exceeds nine tenths of the gain at a
+        frequency, P is hardly identified there. The radius is then drawn down to a tenth of the
+        gain. If the rig was excited periodically, the plot also shows the standard deviations of P
+        that come from noise and from nonlinearity.
 
         Returns
         -------
@@ -204,7 +213,7 @@ class Measured:
         return figure
 
     def _draw_lines(self, axes, i, j):
-        """P at the lines of an excitation, and its standard deviations."""
+        """Draw P at the excited frequencies, and its standard deviations, if they are known."""
         if self.lines is None:
             return
         omega = self.lines.omega
@@ -217,7 +226,7 @@ class Measured:
 
 
 def _nearest_with(A, C, measured, near) -> control.StateSpace:
-    """The model with these A and C whose B and D fit the lines best, in units of `near`."""
+    """Fit B and D of a model with these A and C to the response, with errors relative to `near`."""
     Ts, P = measured.loop.Ts, measured.response
     z, n = np.exp(1j * measured.omega * Ts), len(A)
     states = np.linalg.solve((z[:, None, None] * np.eye(n) - A).swapaxes(1, 2), C.T[None])
@@ -230,7 +239,7 @@ def _nearest_with(A, C, measured, near) -> control.StateSpace:
 
 
 def radius_of(uncertainty, P) -> np.ndarray:
-    """Return the radius at each frequency of P (n, p, m); a number counts times sigma_max(P)."""
+    """Return the radius at each frequency of P (n, p, m); a number is a share of sigma_max(P)."""
     if np.ndim(uncertainty) == 0:
         what = "a radius at each frequency, or one number below 1, relative to sigma_max(P)"
         uncertainty = arguments.number("uncertainty", uncertainty, what, high=1, least=0)
@@ -242,7 +251,7 @@ def radius_of(uncertainty, P) -> np.ndarray:
 
 
 def with_phase(name: str, P) -> np.ndarray:
-    """Return a table P (n, p, m); refuse a P that is real and not constant: no causal plant is."""
+    """Return a table P (n, p, m); refuse a real P that is not constant: no causal plant has it."""
     if not P.imag.any() and np.ptp(P.real, axis=0).any():
         raise ValueError(
             f"{name} is real at each frequency, but not constant, as no plant is: is it a gain "
@@ -253,5 +262,5 @@ def with_phase(name: str, P) -> np.ndarray:
 
 
 def probability(confidence) -> float:
-    """Check the confidence of a region, which is between 0 and 1."""
+    """Check a confidence, which must be between 0 and 1."""
     return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)

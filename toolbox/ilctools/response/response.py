@@ -1,8 +1,9 @@
-"""What is known of P: frequency responses of plants, at, between and beyond their frequencies.
+"""What is known of P: frequency responses of plants at, between and outside their frequencies.
 
-Models are known at all frequencies. Between the first and the last sample, and below the first
-one, :mod:`.samples` gives P. A measured response has its own P below the first sample. Above the
-last sample, P is zero with a radius, which is the size of P at the last sample.
+P of a model is known at all frequencies. If P is known by samples, :mod:`.samples` gives P between
+the samples and below the first sample. A response that was estimated from a record has its own P
+below the first sample. Above the last sample, P is taken to be zero, with a radius that is the size
+of P at the last sample.
 """
 
 from dataclasses import dataclass, replace
@@ -18,32 +19,32 @@ from ilctools.response.scale import Scale
 from ilctools.signals import Signals
 from ilctools.singular_values import largest_singular_values
 
-SAME_ANGLE = 1e-9  # difference of two angles, below which they are the same frequency
+SAME_ANGLE = 1e-9  # rad: two angles omega Ts with a smaller difference are the same frequency
 POINTS_BELOW = (
-    17  # frequencies from zero to the first one of omega, at which a measured P is evaluated
+    17  # number of frequencies from zero to omega[0], at which an estimated P is evaluated
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Frequency responses of one plant or of several. :func:`.response_of` makes it."""
+    """Frequency responses of one or several plants, as :func:`.response_of` makes them."""
 
     omega: np.ndarray  # (n,): rad/s
     P: np.ndarray  # (plants, n, p, m), complex, in units of `scale`; the nominal plant first
     Ts: float  # sampling period, s
-    models: tuple[control.StateSpace | None, ...]  # of the plants; None for samples
-    radius: np.ndarray | None  # (n,): P may be P + Delta, ||Delta|| <= radius; None: it is P
+    models: tuple[control.StateSpace | None, ...]  # of the plants; None for a table of samples
+    radius: np.ndarray | None  # (n,): the true plant is P + Delta, ||Delta|| <= radius; None: P
     scale: Scale
     signals: Signals  # of the nominal plant
-    assumptions: tuple[str | Assumed, ...] = ()  # what a measured P and its radius rest on
-    added: bool = True  # whether v is added to references, one for each output
-    # else the response of the loop to references, in units of `scale.y`, if it is known
+    assumptions: tuple[str | Assumed, ...] = ()  # of a measured P and its radius, in words
+    added: bool = True  # whether each v is added to the reference of an output
+    # if not `added`: the response of the loop to references, in units of `scale.y`, if known
     of_reference: control.StateSpace | None = None
     directions: Directions | None = (
-        None  # the directions to which P is restricted; None: P passes all
+        None  # the directions to which P is restricted; None: P has a gain in all directions
     )
-    one_at_first: bool = False  # whether the loop makes P the identity at the first frequency
-    low: Samples | None = None  # from zero to the first frequency, if a measured P knows it
+    one_at_first: bool = False  # whether the loop should make P the identity at omega[0]
+    low: Samples | None = None  # P from zero to omega[0], if P was estimated from a record
 
     @property
     def sampled(self) -> bool:
@@ -68,7 +69,7 @@ class Response:
         return np.zeros(len(self.omega)) if self.radius is None else self.radius
 
     def at(self, chosen) -> "Response":
-        """Return the response at some of its frequencies, chosen by (n,) bool."""
+        """Return the response at the frequencies that the mask `chosen`, (n,), selects."""
         radius = self.radii[chosen]
         return replace(
             self,
@@ -80,7 +81,7 @@ class Response:
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
         """Return P (k, p, m) of a plant, and its radius (k,), at any frequencies (k,), rad/s.
 
-        The radius of a model is zero outside the frequencies at which it is given.
+        For a model, the radius is zero outside the range of `omega`.
         """
         omega, model, samples = np.asarray(omega), self.models[plant], self.samples[plant]
         if model is None:
@@ -100,7 +101,7 @@ class Response:
 
     @property
     def below_in_words(self) -> Assumed | None:
-        """What is assumed below the first sample, in words; None if P is known there."""
+        """The assumption on P below the first sample, in words; None if P is known there."""
         if not self.sampled or self.omega[0] <= 0:
             return None
         sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
@@ -108,7 +109,7 @@ class Response:
 
     @property
     def beyond(self) -> float | None:
-        """The sigma_max(P) that is assumed above the last sample; None if P is known there."""
+        """The bound on sigma_max(P) above the last sample; None if P is known there."""
         if not self.sampled or self.angles[-1] >= np.pi - SAME_ANGLE:
             return None
         samples = self.P[[model is None for model in self.models], -1]
@@ -116,12 +117,12 @@ class Response:
 
     @cached_property
     def samples(self) -> list[Samples]:
-        """The samples of each plant."""
+        """The responses as :class:`.Samples`, which interpolate them, one for each plant."""
         return [Samples(self.omega, P, self.radii, self.low) for P in self.P]
 
     @property
     def assumed(self) -> tuple[Assumed, ...]:
-        """What is assumed below the samples, above them and between them."""
+        """The assumptions on P below, above and between the samples, in words."""
         assumed, between = [], []
         if self.below_in_words is not None:
             assumed.append(self.below_in_words)

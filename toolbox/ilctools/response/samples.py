@@ -1,42 +1,47 @@
-"""Interpolate a sampled frequency response by splines, bound their error, and extend it below.
+"""Interpolate a sampled frequency response by splines, and extend it below its first sample.
 
-Cubic splines connect the samples, and straight lines connect their radius. Measured grids are
-linear or logarithmic, and plants are smooth over omega or over log omega. Both interpolations use
-the axis, omega or log omega, on which splines predict every other sample better.
+Each sample has a radius, a bound on the distance of the sample from the true P. Cubic splines
+interpolate P, and straight lines interpolate the radius. Measured grids are linear or logarithmic,
+and plants are smooth over omega or over log omega. Both interpolations use omega or log omega as
+their axis. The better axis is found by splines through every other sample, which predict the
+remaining samples.
 
-A spline misses P between its samples. To estimate this error, a second spline runs through every
-other sample, and its error at the samples that were left out is computed. The distance between
-its samples is twice as large. Between two neighbours, the larger of their two errors, times
-4 t (1 - t), is a radius. Here t runs from 0 to 1 from one neighbour to the other. P lies within
-the radius if the resonances of P show in the samples. An error that the radius of the samples
-covers is not counted again.
+Between its samples, a spline differs from P. This error is estimated from a second spline, which
+uses every other sample, so that the distance between its samples is twice as large. Its error is
+computed at the samples that it does not use. Between two neighbouring samples, an additional radius
+is the larger of the two errors at these samples, times 4 t (1 - t). Here t increases from 0 at one
+sample to 1 at the other. P lies within this radius if the samples resolve the resonances of P. An
+error that the radius of the samples covers is not counted again.
 
-Below the first sample, at omega_1 > 0, P is not known. But P is real at rest, and about rest its
-real part is even and its imaginary part odd. With x = omega / omega_1, P is therefore taken to be
+Below the first sample, at omega_1 > 0, P is not known. But P is real at zero frequency. As a
+function of omega, the real part of P is even and its imaginary part is odd. With x = omega /
+omega_1, P is therefore taken to be
 
     P(omega) = Re P(omega_1) + j x Im P(omega_1) + Delta Re P(omega_1) + E,
     ||Delta|| <= d,    ||E|| <= r,    d = s + t^2, at most t where s <= t,
     s = sigma_max((Re P(2 omega_1) - Re P(omega_1)) Re P(omega_1)^-1),
     t = sigma_max(Im P(omega_1) Re P(omega_1)^-1),
 
-where r is the radius of the first sample. The sample nearest to 2 omega_1 stands for
-P(2 omega_1), and the change up to this sample is scaled in proportion to omega^2. If this sample
-is above COARSE_STEP omega_1, d is t at least. A real part that moves as omega^2 moves by s / 3
-below omega_1. The real part of a first-order lag moves by t^2. For one channel, t is the tangent
-of the phase. Delta Re P does not depend on the units of y, so that channels with a large gain do
-not hide a channel with a small one.
+where r is the radius of the first sample, and Delta and E are unknown matrices. s and t estimate by
+how much the real part of P may change below omega_1. The sample nearest to 2 omega_1 replaces P(2
+omega_1), and the change of P up to this sample is scaled in proportion to omega^2. If this sample
+is above COARSE_STEP omega_1, d is at least t. If the real part changes in proportion to omega^2, it
+changes by s / 3 below omega_1. The real part of a first-order lag changes by t^2. For one channel,
+t is the tangent of the phase. The term Delta Re P is relative to P, and does not depend on the
+units of y. A channel with a large gain therefore does not hide a channel with a small gain.
 
-From d = 1 on, which is reached at a phase of 45 degrees at the latest, this region contains
-singular plants, and the phase may have turned before. Then P is anything that is not larger than
-at omega_1, and no filter has a sigma_max(M) below |Q| there.
+All P of this form are called the region. If d is one or more, the region contains singular
+plants, and the phase may turn by any angle below omega_1. This happens at a phase of 45 degrees at
+the latest. P is then taken to have any value that is not larger than at omega_1, and no filter has
+a sigma_max(M) below |Q| there.
 
-The region was tried on 30 plants. With omega_1 at 1/1000, 1/100, 1/50, 1/20 and 1/10 of the
+The region was tested on 30 plants. With omega_1 at 1/1000, 1/100, 1/50, 1/20 and 1/10 of the
 cut-off, the region contains 30, 29, 28, 24 and 24 of these plants. The region does not contain a
-plant with a slow part of little gain below omega_1. Only the certificate counts this region. Bounds
-on M are not imposed there, as no filter has less than |Q| d at rest. Among 58 designs of a finite
-filter, seven exceeded M_max = 0.9 there, and all seven had d above 0.7. If the numbers of inputs
-and outputs differ, a ball with the radius d sigma_max(Re P(omega_1)) contains this region, and
-rates are larger.
+plant with a slow mode of small gain below omega_1. Only the certificate uses this region. The
+design does not bound M in the region, because no filter has a sigma_max(M) below |Q| d at zero
+frequency. Among 58 designs of a finite filter, seven exceeded M_max = 0.9 there, and all seven had
+d above 0.7. If the numbers of inputs and outputs differ, the region is replaced by a ball that
+contains it, with the radius d sigma_max(Re P(omega_1)). Rates are then larger.
 """
 
 from dataclasses import dataclass
@@ -48,15 +53,15 @@ from scipy.interpolate import CubicSpline
 
 from ilctools.singular_values import largest_singular_values
 
-SAME_FREQUENCY = 1e-9  # relative: two frequencies that are nearer are the same
+SAME_FREQUENCY = 1e-9  # relative: two frequencies with a smaller difference are the same
 FEWEST_TO_HALVE = 4  # samples: with fewer, no sample can be left out
 COARSE_STEP = (
-    3  # times the first frequency: a second sample above this does not show how P moves below
+    3  # ratio of the second to the first sample, above which they do not show how P changes below
 )
 
 
 class Assumed(NamedTuple):
-    """An assumption on which a design rests, as a line of text that is printed."""
+    """An assumption of a design, as a line of text that is printed."""
 
     text: str
 
@@ -65,7 +70,10 @@ class Assumed(NamedTuple):
 
 
 class Region(NamedTuple):
-    """All P + Delta W + E with ||Delta|| <= moves and ||E|| <= radius, at some frequencies."""
+    """A region in which the plant lies at some frequencies.
+
+    The region contains all P + Delta W + E with ||Delta|| <= moves and ||E|| <= radius.
+    """
 
     P: np.ndarray  # (k, p, m), complex
     W: np.ndarray  # (any, m)
@@ -80,16 +88,16 @@ class Region(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A frequency response known by its samples, and the error that these may have."""
+    """A frequency response that is known by samples, and the largest errors of the samples."""
 
     omega: np.ndarray  # (n,), rad/s
     P: np.ndarray  # (n, p, m), complex
-    radius: np.ndarray  # (n,)
-    low: "Samples | None" = None  # measured from zero to the first frequency
+    radius: np.ndarray  # (n,): bound on the error of each sample
+    low: "Samples | None" = None  # P from zero to the first frequency, if it was measured
 
     @cached_property
     def _over(self):
-        """The axis, omega or log omega, on which splines miss less, and what they miss, (n,)."""
+        """The axis with the smaller error of splines, and this error at the samples, (n,)."""
         axes = (np.asarray, np.log) if self.omega[0] > 0 else (np.asarray,)
         each = ((axis, missed(axis(self.omega), self.P)) for axis in axes)
         return min(each, key=lambda pair: pair[1].max())
@@ -101,17 +109,18 @@ class Samples:
 
     @cached_property
     def missed(self) -> np.ndarray:
-        """The error of splines at the samples, as far as it exceeds the radius, (n,)."""
+        """The part of the error of splines that exceeds the radius of the samples, (n,)."""
         return np.maximum(self._over[1] - self.radius, 0)
 
     def radius_at(self, omega) -> np.ndarray:
-        """The radius by straight lines, (k,); beyond the ends, the radius at the end."""
+        """Interpolate the radius by straight lines, (k,); outside the samples, as at their ends."""
         return np.interp(self._place(omega), self.axis(self.omega), self.radius)
 
     def at(self, omega) -> tuple[np.ndarray, np.ndarray]:
-        """P (k, p, m), and its radius (k,), which includes what splines may miss.
+        """Return P (k, p, m) and its radius (k,), which includes the error of the splines.
 
-        Above the last sample, P and the radius are as at the last sample.
+        Above the last sample, P and the radius are constant. Below the first sample, they are P and
+        the radius of a ball that contains the region of :meth:`below`.
         """
         known, place = self.axis(self.omega), self._place(omega)
         after = np.searchsorted(known, place).clip(1, len(known) - 1)
@@ -125,7 +134,7 @@ class Samples:
 
     @cached_property
     def moves(self) -> float:
-        """d: by which share of its real part P may move below its first sample."""
+        """d, a bound on the relative change of the real part of P below the first sample."""
         (first, *others), P = self.omega, self.P[0]
         later = 1 + np.abs(np.array(others) - 2 * first).argmin()
         times = self.omega[later] / first
@@ -140,12 +149,12 @@ class Samples:
 
     @property
     def known_below(self) -> bool:
-        """Whether the first samples determine P below them, which needs d < 1."""
+        """Whether the first two samples determine P at lower frequencies: d is below one."""
         return self.moves < 1
 
     @property
     def below_in_words(self) -> Assumed:
-        """What is assumed below the first sample, in words."""
+        """The assumption on P below the first sample, in words."""
         first = f"{self.omega[0]:.4g} rad/s"
         if self.low is not None:
             return Assumed(
@@ -164,7 +173,7 @@ class Samples:
         )
 
     def below(self, omega) -> Region:
-        """The region in which P is assumed to lie below the first sample, at frequencies (k,)."""
+        """Return the region in which P is assumed to lie at frequencies below the first sample."""
         if self.low is not None:
             P, radius = self.low.at(omega)
             return Region(P, np.eye(P.shape[-1]), 0.0, radius)
@@ -176,7 +185,7 @@ class Samples:
         if self.known_below:  # a ball that holds Delta Re P, or Re P Delta
             radius += self.moves * np.linalg.norm(real, 2)
             return Region(P, np.eye(real.shape[1]), 0.0, radius)
-        # a ball about P with twice this radius contains all that is not larger than this
+        # a ball around P with twice this radius contains all plants with a norm up to `size`
         size = np.linalg.norm(self.P[0], 2) + self.radius[0]
         return Region(P, size * np.eye(real.shape[1]), 2.0, 0 * radius)
 
@@ -189,7 +198,10 @@ class Samples:
 
 
 def _over(X, P):
-    """X P^-1 for a square P; else the least-squares Delta of X = Delta P, or of X = P Delta."""
+    """Return X P^-1 for a square P, else the least-squares solution of Delta P = X.
+
+    If P has more columns than rows, P Delta = X is solved instead.
+    """
     rows, columns = P.shape
     if rows == columns:
         return np.linalg.solve(P.T, X.T).T
@@ -198,15 +210,16 @@ def _over(X, P):
 
 
 def missed(x, P) -> np.ndarray:
-    """sigma_max(P - S) at each sample, (n,), where S is the spline of every other sample over x.
+    """Return sigma_max(P - S) at each sample, (n,), where S is a spline through other samples.
 
-    The value at each end is the value of the sample next to the end. With fewer than four samples,
-    the result is sigma_max(P).
+    S is a spline over x through the two ends and through every second sample between them. At each
+    sample, the S that does not use this sample is taken. At the two ends, the value of the
+    neighbouring sample is returned. With fewer than four samples, the result is sigma_max(P).
     """
     sizes = largest_singular_values(P)
     if len(x) < FEWEST_TO_HALVE:
         return sizes
-    for first in (1, 2):  # between the two at the ends
+    for first in (1, 2):  # the two samples at the ends always stay
         out = np.arange(first, len(x) - 1, 2)
         S = CubicSpline(np.delete(x, out), np.delete(P, out, axis=0))(x[out])
         sizes[out] = largest_singular_values(P[out] - S)

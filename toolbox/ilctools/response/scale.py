@@ -1,11 +1,13 @@
-"""What counts as equally large in each channel: the units in which singular values are compared.
+"""The scale of the channels: which sizes of signals count as equally large.
 
-With S_y and S_v for diagonal matrices of the scale of each output and of each learned input,
+A singular value adds up channels that may have different units. Each output and each learned input
+is therefore divided by its scale, the size that counts as one. Let S_y and S_v be the diagonal
+matrices of the scales of the outputs and of the learned inputs. Then
 
     P in these units = S_y^-1 P S_v,    L = S_v (L in these units) S_y^-1.
 
-Where v is added to the reference of an output, the input has the unit of that output, and so its
-scale, if it has none of its own.
+If P is square, each v is added to the reference of an output, and has the unit of this output. If
+no scale is stated for such an input, the input has the scale of this output.
 """
 
 import reprlib
@@ -17,29 +19,29 @@ from ilctools import arguments
 
 
 class Scale(NamedTuple):
-    """What counts as equally large in each output and in each learned input."""
+    """The size that counts as one in each output and in each learned input."""
 
     y: np.ndarray  # (p,)
     v: np.ndarray  # (m,)
 
     @property
     def of_P(self) -> np.ndarray:
-        """The factors that turn P in its own units into P in these units, (p, m)."""
+        """The factors on P in its own units that give P in scaled units, (p, m)."""
         return self.v / self.y[:, None]
 
     @property
     def is_one(self) -> bool:
-        """Whether all scales are one, so that the scale changes nothing."""
+        """Whether all scales are one, so that the units do not change."""
         return bool(np.all(self.y == 1) and np.all(self.v == 1))
 
     @property
     def inverse(self) -> "Scale":
-        """The scale that undoes this one."""
+        """The scale that converts scaled units back to the plant's own units."""
         return Scale(1 / self.y, 1 / self.v)
 
 
 def scale_of(scale, outputs, inputs) -> Scale:
-    """Check a scale of outputs and learned inputs, by name or by channel; the default is one."""
+    """Check a scale that is given by name or by channel; by default all scales are one."""
     p, m = len(outputs), len(inputs)
     if isinstance(scale, Scale):
         return scale
@@ -58,7 +60,10 @@ def scale_of(scale, outputs, inputs) -> Scale:
 
 
 def _by_name(scale, outputs, inputs):
-    """A scale by names; an input of a square plant defaults to the scale of its output."""
+    """Make a scale from a dict by names.
+
+    If P is square, the default for an input is the scale of its output. All other defaults are one.
+    """
     arguments.by_name("scale", scale, [*outputs, *inputs])
     sizes = {
         name: arguments.number(f"scale[{name!r}]", size, "a positive number")
@@ -71,7 +76,7 @@ def _by_name(scale, outputs, inputs):
 
 
 def _positive(units):
-    """Check units, which must be positive numbers."""
+    """Check that scales are positive numbers."""
     arguments.representable("scale", units, "in other units")
     if units.min() <= 0:
         raise ValueError(f"scale = {units.tolist()} must be positive numbers")

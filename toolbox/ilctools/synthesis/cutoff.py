@@ -1,28 +1,30 @@
-"""The default cut-off of Q, from how far P reaches and how far its plants agree.
+"""The default cut-off of Q, from the bandwidth of P and from the differences between its plants.
 
-Let sigma(omega) be the least sigma_min of all plants. Let sigma_0 be the value of sigma at rest, or
-the largest value of sigma if P passes nothing at rest. P reaches up to the frequency omega_1 where
+Let sigma(omega) be the least smallest singular value of all plants. Let sigma_0 be the value of
+sigma at zero frequency, or the largest value of sigma if P has no gain at zero frequency. The
+cut-off is at most the lowest frequency omega_1 where
 
     sigma(omega) < WEAK sigma_0.
 
-Above omega_1, L would amplify noise and the errors of the model. The bound on L will follow from
-the cut-off, and is at least STATIC / sigma_0. The plants P_k agree at frequencies where the
-quadratic law B of all plants, with this bound, gives |Q| d <= M_max. Here d is what is left without
-Q,
+Above omega_1, L would amplify noise and the errors of the model.
+
+The cut-off must also be so low that one filter works for all plants. In this test, the filter is
+the quadratic law B of all plants, see :mod:`ilctools.base`. The bound on the gain of B is here
+STATIC / sigma_0. At each frequency, |Q| d <= M_max is required. Here d is the share of the error
+that one trial would leave without Q,
 
     d = max_k sigma_max(I - P_k B) + r sigma_max(B),
 
-and r is the radius of the plants. The Butterworth filter of order 2 has Q = 1 / (1 + x^4) with
+and r is the radius around the plants. The Butterworth filter of order 2 has Q = 1 / (1 + x^4) with
 x = tan(omega Ts / 2) / tan(cutoff Ts / 2). The condition is therefore
-x >= (d / M_max - 1)^(1/4). The condition gives one cut-off for each frequency, and the least
-cut-off counts. No search is needed.
+x >= (d / M_max - 1)^(1/4). The condition gives a highest cut-off for each frequency. The lowest of
+these cut-offs is chosen, so that no search is needed.
 
-The frequencies that count are decided before. For an estimate from records, these are the
-frequencies of which a period fits into a record, see :attr:`.EstimatedResponse.resolved`. A single
-one of these frequencies may decide. The neighbouring frequencies at which P is as weak, or as
-uncertain, are grouped with the one that decides. If P is strong and known again above these
-frequencies, they form a range with a price. The price is the cut-off that would follow without this
-range.
+Only the frequencies of the response are considered. If the response was estimated from records, a
+period of each default frequency fits into a record, see :attr:`.EstimatedResponse.resolved`. A
+single frequency may decide the cut-off. The neighbouring frequencies at which P is also weak, or
+also too uncertain, form a range with this frequency. If P is strong and known above this range, the
+range is reported, with the cut-off that would follow without the range.
 """
 
 from typing import NamedTuple
@@ -37,25 +39,26 @@ from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
 ORDER = 2  # of the Butterworth filter, as in the paper
-# Relative to sigma_0. Among 0.03, 0.05 and 0.1, this gives least noise; see figures/performance.md.
+# Relative to sigma_0. Among 0.03, 0.05 and 0.1, this value learns the least noise, see
+# figures/performance.md.
 WEAK = 0.1
 SHARE_OF_M_MAX = 0.9  # share of M_max that the differences between the plants may use up
-# Highest cut-off relative to the last sample, if that is below the Nyquist frequency. |Q| is 0.06
-# at the last sample.
+# Highest cut-off relative to the frequency of the last sample, if this frequency is below the
+# Nyquist frequency. |Q| is then at most 0.06 at the last sample.
 INSIDE_SAMPLES = 0.5
 HIGHEST_CUTOFF = 0.9  # relative to the Nyquist frequency
-NEARLY_NYQUIST = 3  # rad: a larger omega Ts is as good as that of the Nyquist frequency, pi
-NAMED_FACTOR = 1.1  # a range is named if the cut-off would be this many times as high without it
-COSTLY_FACTOR = 2.0  # a warning is given from this factor on
+NEARLY_NYQUIST = 3  # rad: a larger omega Ts counts as the Nyquist frequency, omega Ts = pi
+NAMED_FACTOR = 1.1  # a range is reported if it lowers the cut-off by at least this factor
+COSTLY_FACTOR = 2.0  # a range gives a warning if it lowers the cut-off by at least this factor
 
 
 class Cutoff(NamedTuple):
-    """The chosen cut-off, and what decided it."""
+    """The chosen cut-off of Q, and the reason for this value."""
 
     omega: float  # rad/s
-    reason: str  # what the cut-off follows from, in words
-    decisive: str = ""  # the range that decides, in words; empty if no narrow range decides
-    without: float = np.inf  # the cut-off without that range, rad/s
+    reason: str  # what limits the cut-off, in words
+    decisive: str = ""  # the narrow range that limits the cut-off, in words; else empty
+    without: float = np.inf  # the cut-off if this range is ignored, rad/s
 
     @property
     def costly(self) -> bool:
@@ -70,20 +73,20 @@ class _Limits(NamedTuple):
     Ts: float  # s
     weak: np.ndarray  # the frequency itself, if P is below WEAK sigma_0
     apart: np.ndarray  # the cut-off at which |Q| d meets its bound
-    highest: float  # rad/s, because P is not known at higher frequencies
+    highest: float  # rad/s: limit that follows from the last frequency at which P is known
 
 
 class _Least(NamedTuple):
-    """The least of all limits on the cut-off."""
+    """The lowest of all limits on the cut-off."""
 
     omega: float  # rad/s
-    index: int | None = None  # of the frequency that decides; None if `highest` does
-    among: np.ndarray | None = None  # (n,), bool: where P is as weak, or as little known
-    last: int = 0  # number of the last frequency that counts
+    index: int | None = None  # of the frequency with this limit; None if it is `highest`
+    among: np.ndarray | None = None  # (n,), bool: all frequencies with a limit of this kind
+    last: int = 0  # index of the last frequency that may limit the cut-off
 
 
 def choose_cutoff(response: Response, M_max: float) -> Cutoff:
-    """Choose the cut-off up to which P reaches and its plants agree; say what decided it."""
+    """Choose the cut-off of Q from the gain, the radius and the differences of the plants."""
     limits = _limits(response, SHARE_OF_M_MAX * M_max)
     least = _least(limits, left_out=False)
     if least.index is None:
@@ -106,7 +109,7 @@ def choose_cutoff(response: Response, M_max: float) -> Cutoff:
 
 
 def _limits(response, M_max):
-    """Compute what limits the cut-off, see the docstring of the module."""
+    """Compute all limits on the cut-off, see the docstring of the module."""
     omega, P, Ts = response.omega, response.P, response.Ts
     values = np.linalg.svd(P, compute_uv=False)[..., -1].min(axis=0)
     rest = at_rest(values) or values.max()
@@ -131,7 +134,7 @@ def _limits(response, M_max):
 
 
 def _least(limits, left_out) -> _Least:
-    """Find the least limit, without the frequencies `left_out`, (n,) bool, or with all."""
+    """Find the lowest limit, but ignore the frequencies in the mask `left_out`, (n,) or False."""
     weak, apart = (np.where(left_out, np.inf, each) for each in (limits.weak, limits.apart))
     asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE_SAMPLES
     last = np.sum(asked & (limits.omega * limits.Ts < NEARLY_NYQUIST)) - 1
@@ -143,6 +146,6 @@ def _least(limits, left_out) -> _Least:
 
 
 def _span(omega):
-    """State in words where a range is."""
+    """State the first and last frequency of a range in words."""
     low, high = (f"{end:.2g}" for end in omega[[0, -1]])
     return f"at {low} rad/s" if low == high else f"from {low} to {high} rad/s"

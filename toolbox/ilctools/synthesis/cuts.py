@@ -1,8 +1,9 @@
-"""Cuts: the bounds on M, for many plants and for a radius, that a program needs.
+"""Solve a problem with bounds on M for many plants, by adding only the bounds that are needed.
 
-Only a handful of thousands of plants is active, each at a few frequencies. A program starts with
-few of these bounds. The bounds that its solution violates are added, until the solution violates
-none. A solution that is optimal for some of the bounds, and meets all of them, is optimal for all.
+Among thousands of plants, the bounds of only a handful are active, each at a few frequencies. The
+solver starts with few bounds. The bounds that its solution violates, called cuts, are added, until
+the solution meets all bounds. A solution that is optimal for some bounds and meets all bounds is
+optimal for all bounds.
 """
 
 import numpy as np
@@ -12,11 +13,11 @@ from ilctools.problem.problem import Problem, Solution
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
 
-ROUNDING_OF_M = 1e-10  # relative violation of M_max that is rounding
+ROUNDING_OF_M = 1e-10  # relative: a smaller violation of M_max is rounding
 
 
 def solve(problem: Problem) -> Solution:
-    """Solve a problem at its frequencies; raise Infeasible if no filter meets the bounds."""
+    """Solve a problem at its own frequencies; raise Infeasible if no filter meets the bounds."""
     plant, frequency = np.empty((2, 0), dtype=int)
     while True:
         formulation = formulate(problem, plant, frequency)
@@ -29,7 +30,7 @@ def solve(problem: Problem) -> Solution:
 
 
 def violated(problem, solution, limit, plant, frequency):
-    """Find plant and frequency of new cuts: the most violated bound at each frequency."""
+    """Find the most violated new bound at each frequency; return its plant and frequency."""
     L = problem.L(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + ROUNDING_OF_M)), np.full(n, -1)

@@ -1,4 +1,4 @@
-"""From the problem to a filter with its certificate: the way through the synthesis."""
+"""Design a learning filter: all steps from the user's arguments to a filter with a certificate."""
 
 from dataclasses import replace
 
@@ -22,8 +22,8 @@ from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 from ilctools.warn import warn
 
-LONGEST_REST = 0.1  # part of a trial that may be given up at its end, so that v does not grow there
-EQUAL_MULTIPLIERS = 1e-3  # relative distance of multipliers that are equal for the solver
+LONGEST_REST = 0.1  # largest share of a trial with v = 0 at its end, so that v does not grow there
+EQUAL_MULTIPLIERS = 1e-3  # relative: multipliers that differ by less are equal for the solver
 
 
 @on_one_thread
@@ -49,54 +49,65 @@ def synthesise(
 ) -> Synthesis:
     """Design a learning filter L for a plant, with a certificate of how fast trials converge.
 
-    Trials follow the law v_{k+1} = Q (v_k + L e_k). Each trial leaves M = Q (I - P L) of the error
-    before it. The filter makes sigma_max(M) small, and keeps bounds on sigma_max(M) and on its own
-    gain sigma_max(L). By default a formula gives the filter. If that filter breaks a bound, convex
-    optimisation finds another one, by (39) of the paper, or by (45) and (46).
+    Trials follow the law v_{k+1} = Q (v_k + L e_k), where e_k is the error in trial k and v_k is
+    the learned signal. From one trial to the next, the remaining error is multiplied by M = Q (I -
+    P L). The design makes sigma_max(M) small, and keeps bounds on sigma_max(M) and on the gain
+    sigma_max(L). By default L is a regularised inverse B of P, which a formula gives. If B violates
+    a bound, convex optimisation finds another filter, by (39) of the paper, or by (45) and (46).
 
     Parameters
     ----------
     P : model, loop, array_like of shape (n, p, m), or measured response; or a list of them
-        The response from v (m learned inputs) to y (p outputs), in closed loop. A table is in rad/s
-        and for exp(j omega t). In a list the first plant is the nominal one. The bounds hold for
-        all plants of the list.
+        The response from v (m learned inputs) to y (p outputs), in closed loop. The frequencies of
+        a table are in rad/s, and its phase belongs to exp(j omega t). In a list, the first plant is
+        the nominal plant. The bounds hold for all plants of the list.
     Q : ZeroPhaseButterworth, or array_like of shape (n,), optional
-        The filter, or its samples on `omega`. Default: one of order 2, up to where P reaches.
+        The low-pass filter Q, or its samples on `omega`. Default: a filter of order 2, whose
+        cut-off follows from P, see Notes.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s. Default: the frequencies of the table, or 1000 frequencies up to
         the Nyquist frequency.
     Ts : float, optional
-        Sampling period, s. Arrays need it.
+        Sampling period, s. If P is an array and Q is not a filter, `Ts` is needed.
     order : int, optional
-        Samples that L looks ahead (44), or samples of K, at most 300. Default: from P and Q.
+        Number of coefficients of the filter that is optimised, at most 300. If L = B K, these are
+        the coefficients of K. Otherwise they are those of L, which looks ahead by this number of
+        samples, see equation (44) of the paper. Default: from P and Q.
     M_max : float
         Bound on sigma_max(M), in (0, 1).
     L_max : float, None or "auto"
-        Bound on sigma_max(L), in units of v per unit of y. None is no bound. Default: from the gain
-        that inverts P.
+        Bound on sigma_max(L), in units of v per unit of y. None means that there is no bound.
+        Default: a multiple of the gain that inverts P, see Notes.
     L_high : (float, float), optional
-        A frequency in rad/s, and a further bound on sigma_max(L) from there on. Trials then learn
-        less noise there, without a lower cut-off of Q.
+        A frequency in rad/s, and an additional bound on sigma_max(L) at and above this frequency.
+        Trials then learn less noise there, although the cut-off of Q stays the same.
     band : (float, float), optional
-        Lowest and highest frequency of the sum in (39), rad/s. Default: up to Q's cut-off.
+        Lowest and highest frequency of the sum in (39), rad/s. Default: from the lowest frequency
+        above zero to the cut-off of Q.
     reference : array_like, shape (time, m), optional
-        A reference, whose first error weights the sum in place of the band. The certificate then
-        predicts its RMS errors.
+        The reference of the trials. The spectrum of the error in its first trial then weights the
+        sum in (39), in place of the band. The certificate predicts the RMS errors of later trials.
     structure : {"full", "diagonal"}
-        Whether each error acts on all channels, or on its own channel only.
+        With "full", each error acts on all learned inputs. With "diagonal", each error acts only on
+        the input of its own channel.
     objective : {"sum", "peak"}
-        The sum (39) for the nominal plant, or the peak (45) of all plants.
+        "sum" minimises the sum (39) of sigma_max(M) for the nominal plant. "peak" minimises the
+        largest sigma_max(M) of all plants, (45).
     scale : dict, or array_like of shape (m,) for a square P, optional
-        What counts as equally large, by the names of outputs and learned inputs. Default: ones.
+        For each output and learned input, by name, the size that counts as one. Signals of these
+        sizes then count as equally large. Default: ones.
     uncertainty : float, or array_like of shape (n,), optional
-        Radius r: the bounds hold for all P + Delta with ||Delta|| <= r. A number is a share of
-        sigma_max(P) at each frequency: 0.05 is 5 %.
+        Radius r around each plant: the bounds hold for all P + Delta with ||Delta|| <= r. If
+        `uncertainty` is a single number, the radius is this share of sigma_max(P) at each
+        frequency. For example, 0.05 is 5 %.
     everywhere : bool
-        Whether the bounds hold at all frequencies, and not on `omega` only.
+        Whether the bounds also hold between the frequencies `omega`.
     base : float, None or "auto"
-        B of L = B K. None is the paper's finite L, and the default if `order` is given.
+        How the regularised inverse B in L = B K is chosen, see Notes. With None, L is the finite
+        filter of the paper. None is the default if `order` is given and P is square.
     reach : int, optional
-        B as a finite filter of so many samples each way, as C, a PLC and trials without reset need.
+        Number of samples. If `reach` is passed, B is a finite filter that looks at most so far
+        ahead and back. C code, a PLC and trials without reset need a finite filter.
 
     Returns
     -------
@@ -106,74 +117,82 @@ def synthesise(
     Warns
     -----
     UserWarning
-        For each of the certificate's `warnings`, which say what speaks against the design.
+        One warning for each of the certificate's `warnings`, which name weak points of the design.
 
     Raises
     ------
     InfeasibleError
-        If no filter meets the bounds; the message says which M_max would be feasible.
+        If no filter meets the bounds. The message gives the smallest feasible M_max.
     SolverError
-        If the solver fails, or the certificate of its result does.
+        If the solver fails, or if the certificate shows that its result violates a bound.
 
     See Also
     --------
     least_gain : the filter of least gain among those of least peak
-    convergence : what another filter does
-    trial_norm : what one trial, with its two ends, does to v
+    convergence : computes how fast trials converge with any filter
+    trial_norm : computes how one finite trial, with its two ends, amplifies v
 
     Notes
     -----
-    **P.** A table holds gain * exp(1j * phase); the gain is not in dB, and the phase is in rad.
-    Conjugate a table for exp(-j omega t), whose phase leads. The samples belong to the sampled
-    plant with its hold. python-control's data of a continuous model lack the hold, which is half a
-    sample of delay: sample the model first. A transfer function with more than some four poles
-    loses digits: pass ``control.sample_system(control.ss(plant), Ts)``. A labelled array is matched
-    by name, see :mod:`ilctools.labels`. A measured response has a radius of its own, for a
-    probability of 0.99. For another probability, pass both parts of ``P.on(omega, confidence)``.
-    Without a radius, samples count as exact, although they may contain noise.
+    **P.** A table holds the complex values gain * exp(1j * phase). The gain is not in dB, and the
+    phase is in rad. If a table was made for exp(-j omega t), so that its phase leads, pass its
+    complex conjugate. The samples must be those of the sampled plant with its hold. In
+    python-control, the frequency response of a continuous model does not contain the hold, which
+    adds a delay of half a sample: sample the model first. A transfer function with more than about
+    four poles loses digits: pass ``control.sample_system(control.ss(plant), Ts)``. The axes of a
+    labelled array are matched by name, see :mod:`ilctools.labels`. A measured response has its own
+    radius, for a probability of 0.99. For another probability, pass both arrays that
+    ``P.on(omega, confidence)`` returns. Without a radius, samples count as exact, although they may
+    contain noise.
 
-    **Channels.** With at least as many learned inputs as outputs, M = Q (I - P L), and the rate is
-    the rate of the error. If there are more inputs than outputs, the smallest v is learned. With
-    fewer learned inputs than outputs, M = Q (I - L P), and the rate is the rate of v. The part of
-    the error that the inputs cannot reach then remains. In a square P an input without a scale of
-    its own has the scale of its output. Directions that P never passes are left out.
+    **Channels.** If P has at least as many learned inputs as outputs, M = Q (I - P L), and the rate
+    is the rate of the error. If there are more inputs than outputs, the law learns the smallest v
+    that removes the error. If there are fewer learned inputs than outputs, M = Q (I - L P), and the
+    rate is the rate of v. The part of the error that the inputs cannot influence then remains. If P
+    is square, an input without a scale of its own has the scale of its output. Directions in which
+    P has no gain at any frequency are left out.
 
-    **Q.** Without Q, two conditions give the cut-off, see :mod:`.synthesis.cutoff`. The least
-    singular value of all plants must exceed a tenth of its value at rest, and the plants must not
-    differ by more than M_max allows. If a narrow range of frequencies decides, the certificate
-    names the range, and the cut-off without it. If the norm of a trial is one or more, the cut-off
-    is halved. The certificate then says which ``law(rest=...)`` makes the full cut-off possible.
-    The norm is computed for a trial of ten settling times, or of 1000 samples over all channels.
+    **Q.** If Q is not passed, two conditions give the cut-off, see :mod:`.synthesis.cutoff`. The
+    least singular value of all plants must exceed a tenth of its value at zero frequency. The
+    plants must not differ by more than M_max allows. If a narrow range of frequencies lowers the
+    cut-off, the certificate names this range, and the cut-off without the range. If the norm of a
+    finite trial, see :func:`trial_norm`, is one or more, the cut-off is halved. The certificate
+    then says which ``law(rest=...)`` would make the full cut-off possible. The norm is computed for
+    a trial of ten settling times, but at most 1000 samples divided by the number of inputs.
 
-    **Order and gain.** By default, `order` is the delay of P plus 4 / (cutoff Ts). The delay counts
-    beyond the least phase that the gain of P admits. `order` is at least 10. It is at most 60, or
-    20 more than the delay. `L_max` is eight times the largest gain that inverts P up to Q's
-    cut-off. It is at most 20 times the largest gain that inverts P up to a thirtieth of the
-    cut-off, unless this leaves more than two thirds of M_max of the error. If `base` is a number or
-    None, `L_max` is four times the gain that inverts P up to the cut-off. `L_max` also holds
-    between the frequencies of a coarse grid. Without `L_max`, filters may have any gain that
-    doubles can hold, see :attr:`.Problem.L_bound`. If such a filter looks beyond the ends of a
-    trial, trials often diverge: ask :func:`trial_norm`.
+    **Order and gain.** By default, the `order` of a finite L is the delay of P plus 4 / (cutoff
+    Ts). The delay is computed from the phase lag in excess of the least lag that the gain of P
+    allows. `order` is at least 10. `order` is at most 60, or 20 more than the delay if this is
+    larger. `L_max` is eight times the largest gain that inverts P up to the cut-off of Q. `L_max`
+    is also at most 20 times the largest gain that inverts P up to a thirtieth of the cut-off. The
+    second limit is raised if, at some frequency, more than two thirds of M_max of the error would
+    remain. If `base` is a number or None, `L_max` is four times the largest gain that inverts P up
+    to the cut-off. `L_max` also holds between the frequencies of a coarse grid. Without `L_max`,
+    filters may have any gain that doubles can represent, see :attr:`.Problem.L_bound`. If such a
+    filter looks beyond the ends of a trial, trials often diverge: check this with
+    :func:`trial_norm`.
 
-    **All frequencies.** Bounds and rate are proved between the frequencies if P and Q are models
-    without a radius. Otherwise cubic splines run through the samples, and straight lines through
-    the radius. They are drawn over omega or over log omega, whichever predicts every other sample
-    better. A radius needs an `omega` that resolves narrow resonances. Above the last sample, P is
-    zero within a radius as large as P at that sample. With `everywhere` the bounds hold on a finer
-    grid, on which they are lower by 1e-5 (proved) or 3e-4. This takes three times as long in the
-    median, and a hundred times at worst.
+    **All frequencies.** If P and Q are models without a radius, bounds and rate are proved between
+    the frequencies. Otherwise cubic splines interpolate the samples, and straight lines interpolate
+    the radius. Their axis is omega or log omega, whichever predicts every other sample better. If P
+    has a radius, `omega` must resolve narrow resonances. Above the last sample, P is taken to be
+    zero, with a radius as large as P at this sample. With `everywhere` the bounds are kept on a
+    finer grid. The limits on this grid are lower by 1e-5 (proved) or 3e-4. The design then takes
+    three times as long in the median, and a hundred times at worst.
 
-    **Base.** B = (P* P + b^2)^-1 P* inverts poles and zeros of P next to the unit circle, for which
-    a finite filter is too short. By default B is made for all plants, with b = 1 / (2 L_max), so
-    that sigma_max(B) is at most L_max. If L = B keeps all bounds, the design is L = B. Otherwise,
-    and with a `reference` or the objective "peak", convex optimisation finds K. K has 21 samples or
-    `order`, as many back as ahead, and a sigma_max(K) of at most four. If `base` is a number in
-    (0, 1), b is this share of the largest sigma_max(P) up to Q's cut-off, and B is made for the
-    first plant. If P is a model, B is exact at the ends of a trial, too. If P is a table, B has as
-    many taps as change sigma_max(M) by less than 1e-4.
+    **Base.** B = (P* P + b^2)^-1 P* is the regularised inverse of P. B also inverts poles and zeros
+    of P near the unit circle, for which a finite filter is too short. By default B is made for all
+    plants, with b = 1 / (2 L_max), so that sigma_max(B) is at most L_max. If L = B meets all
+    bounds, the design is L = B. Otherwise, convex optimisation finds a K for L = B K. K is also
+    optimised if a `reference` or the objective "peak" is passed. K has 21 or `order` samples, as
+    many back as ahead, and sigma_max(K) is at most four. If `base` is a number in (0, 1), b is this
+    share of the largest sigma_max(P) up to the cut-off of Q, and B is made for the first plant. If
+    P is a model, B is also exact at the ends of a trial. If P is a table, B is a finite filter. It
+    has so many samples that more samples would change sigma_max(M) by less than 1e-4.
 
-    **Reference.** The spectrum of the first error, (I - P) r, weights the sum; channels are divided
-    by `scale`. Samples of the reference before P can answer are never learned, and do not count.
+    **Reference.** The spectrum of the first error, (I - P) r, weights the sum in (39). Each channel
+    is divided by its `scale`. The first samples of the reference, which P cannot influence because
+    of its delay, are never learned and do not count.
 
     Laws of this form are explained in D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
     iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
@@ -230,7 +249,7 @@ def synthesise(
 
 
 def without_Q(problem_of, response, M_max) -> Synthesis:
-    """Design with the chosen cut-off; with half this cut-off if the ends of a trial might grow."""
+    """Design with a chosen cut-off of Q, or with half of it if v might grow at a trial's ends."""
     refuse_singular(response)
     limit, Ts = choose_cutoff(response, checked_M_max(M_max)), response.Ts
     lowest = max(LOWEST_CUTOFF * np.pi / Ts, response.omega[response.omega > 0][0])
@@ -264,7 +283,7 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
 
 
 def _cost_of_ends(first, half) -> Finding:
-    """State the cost of the ends of a trial, which halve the cut-off, and a remedy."""
+    """Make the finding that the ends of a trial halve the cut-off, with a remedy."""
     samples, norm = first.certificate.settled_trial
     left = half.certificate.settled_trial.norm
     remedy = ""
@@ -279,7 +298,7 @@ def _cost_of_ends(first, half) -> Finding:
 
 
 def _rest_that_mends(design) -> tuple[int, float] | None:
-    """Find a number of samples at rest for which the norm of a trial is below one, and the norm."""
+    """Find a `rest`, in samples, for which the norm of a trial is below one; return both."""
     problem, certificate = design.problem, design.certificate
     L, samples = certificate.scaled_filter, certificate.settled_trial.samples
     for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
@@ -293,7 +312,7 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 
 
 def designed(problem: Problem) -> Synthesis:
-    """Take L = B by default, if B meets all bounds; else solve the convex problem for K or L."""
+    """Design L = B if this is wanted and meets all bounds; else solve the convex problem."""
     if problem.base is None and not problem.square:
         raise needs_square("base = None", problem.p, problem.m)
     design = by_formula(problem) if problem.formula_will_do else None
@@ -301,7 +320,7 @@ def designed(problem: Problem) -> Synthesis:
 
 
 def by_formula(problem: Problem) -> Synthesis | None:
-    """Design L = B, K = 1; None if B breaks a bound, or if another objective is wanted."""
+    """Design L = B, with K = 1; None if B violates a bound, or if K is to be optimised anyway."""
     if problem.objective.kind != "sum" or problem.objective.band is None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
@@ -313,14 +332,14 @@ def by_formula(problem: Problem) -> Synthesis | None:
 
 
 def refuse_failures(certificate: Certificate):
-    """Raise if a certificate fails."""
+    """Raise a SolverError if a claim of a certificate does not hold."""
     if certificate.failures:
         failures = "; ".join(map(str, certificate.failures))
         raise SolverError(f"{failures}.{_remedy(certificate.problem)}")
 
 
 def _remedy(problem):
-    """State a remedy if bounds at every frequency make a problem hard."""
+    """Return a remedy, in words, for a problem with bounds at every frequency; else empty."""
     if not problem.bounds.everywhere:
         return ""
     return (
@@ -331,14 +350,14 @@ def _remedy(problem):
 
 
 def warn_of_findings(design: Synthesis) -> Synthesis:
-    """Warn of each finding of a design, and return the design."""
+    """Issue a warning for each finding of a design, and return the design."""
     for found in design.certificate.warnings:
         warn(str(found))
     return design
 
 
 def certified(problem: Problem) -> Synthesis:
-    """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
+    """Solve a problem, and certify its filter; the errors are those of :func:`synthesise`."""
     try:
         grid, solution = solve_everywhere(problem)
     except Infeasible:
@@ -351,7 +370,7 @@ def certified(problem: Problem) -> Synthesis:
 
 
 def _infeasible(problem) -> InfeasibleError:
-    """Make the error: what would be feasible, and where the bounds are the main obstacle."""
+    """Make the error of an infeasible problem, with the least feasible M_max and a remedy."""
     posed, nearest = solve_everywhere(problem, nearest=True)
     plant, omega = _obstacle(posed, nearest)
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"P at {omega:.4g} rad/s"
@@ -375,7 +394,7 @@ def _infeasible(problem) -> InfeasibleError:
 
 
 def _obstacle(problem, nearest):
-    """Find the plant and the frequency with the largest multiplier."""
+    """Find the plant and the frequency whose bound has the largest multiplier."""
     size, cuts = np.linalg.norm(nearest.U, axis=(1, 2)), nearest.cuts
     plant, at = 0, tied(size).argmax()
     if cuts is not None:

@@ -1,7 +1,9 @@
-"""Bounds at every frequency: bounds that a solution violates are added until none is violated.
+"""Solve a problem with bounds at every frequency, by adding only the bounds that are needed.
 
-The bounds are those on a dense grid. Only a few of these thousands of bounds are active. A solution
-that is optimal for some of the bounds, and meets all of them, is optimal for all.
+Bounds at all frequencies follow from bounds on a dense grid. Among these thousands of bounds, only
+a few are active. The solver starts with the bounds at the design frequencies. The bounds that its
+solution violates are added, until the solution meets all bounds. A solution that is optimal for
+some bounds and meets all bounds is optimal for all bounds.
 """
 
 from dataclasses import replace
@@ -21,9 +23,10 @@ FEW = 100  # number of bounds that are added in a round, besides the most violat
 
 
 def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution]:
-    """Solve a problem with bounds at every frequency; return all frequencies that it needs, too.
+    """Solve a problem with bounds at every frequency.
 
-    With `nearest`, find the least M_max that can be met.
+    Return the problem at all frequencies that needed bounds, and its solution. With `nearest`, find
+    the least M_max for which the problem is feasible, instead of the optimum.
     """
     grid, chosen = on_a_grid(problem)
     if nearest:
@@ -40,9 +43,9 @@ def solve_everywhere(problem: Problem, nearest=False) -> tuple[Problem, Solution
 
 
 def _share(problem, solution):
-    """Compute the largest share of a bound that a solution uses at each frequency."""
+    """Compute the largest ratio of a bounded value to its limit at each frequency, (n,)."""
     limit_M, gain = problem.M_max, 1.0
-    if problem.objective.kind == "peak":  # rounding, where it is nearly zero
+    if problem.objective.kind == "peak":  # with room for rounding if the peak is near zero
         limit_M = solution.largest + ROUNDING_OF_BOUND * problem.gap_scale(solution.largest)
     if problem.objective.kind == "gain":
         gain = solution.largest
@@ -56,7 +59,7 @@ def _share(problem, solution):
 
 
 def _worst(share):
-    """Select frequencies of violated bounds: every crest, and FEW other frequencies."""
+    """Select frequencies of violated bounds: every local maximum, and FEW other frequencies."""
     passed = np.flatnonzero(share > 1 + ROUNDING_OF_BOUND)
     crests, _ = find_peaks(np.pad(share, 1), height=1 + ROUNDING_OF_BOUND)
     chosen = np.zeros(len(share), bool)

@@ -1,14 +1,14 @@
-"""Translate a problem into the program that the solvers take: bounds, and a basis for the filter.
+"""Translate a design problem into a program for the solver: bounds, and a basis for the filter.
 
 P_i (m x m) and Q_i (scalar) are given at the frequencies omega_i. The unknowns are the real
-coefficients C_k of L(z) = sum_k C_k z^k. A weighted sum of sigma_max(M_i), or the largest
-sigma_max(M_i), is minimised, where M_i = Q_i (I - P_i L_i). The constraints are
+coefficients C_k of L(z) = sum_k C_k z^k. The objective is a weighted sum of all sigma_max(M_i), or
+the largest sigma_max(M_i), where M_i = Q_i (I - P_i L_i). The constraints are
 sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all frequencies, where W is I / L_max. Each
-constraint is a `solver.bounds.Bound`. The cuts, which are constraints for other plants and for a
-radius, are bounds, too.
+constraint is a `solver.bounds.Bound`. The constraints for further plants and for a radius, called
+cuts, are bounds as well.
 
-The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
-each frequency.
+The powers z, z^2, ... are nearly dependent. They are replaced by a basis that is orthonormal over
+the frequencies, with the weight that each frequency has in M and L.
 """
 
 from dataclasses import dataclass
@@ -24,12 +24,16 @@ from ilctools.synthesis.solver.bounds import Bound
 from ilctools.synthesis.solver.program import GENEROUS, Optimum, Program
 
 SMALLEST_RADIUS = 1e-10  # relative to the plant: a smaller radius is replaced by this one
-# Smallest weight of a frequency in the basis, relative. Smaller ones would amplify rounding.
+# Smallest weight of a frequency in the basis, relative to the largest weight. Smaller weights would
+# amplify rounding.
 SMALLEST_WEIGHT = 1e-8
 
 
 def whitened_basis(problem):
-    """Compute Phi = R^-T [z; z^2; ...], orthonormal with the weights of M and W L; and R."""
+    """Compute the basis Phi = R^-T [z; z^2; ...] and R.
+
+    Phi is orthonormal over the frequencies, with the weights of M and W L.
+    """
     Q = np.abs(problem.Q)
     P = problem.through_base(problem.turned(problem.P), np.arange(len(Q)))
     weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
@@ -57,18 +61,18 @@ def bound_on_L(W, frequency, level) -> Bound:
 
 
 def _long(X):
-    """Turn a matrix for each frequency into one matrix of long vectors."""
+    """Convert a matrix for each frequency into one matrix of vectors over the frequencies."""
     return np.ascontiguousarray(np.moveaxis(X, 0, -1), dtype=complex)
 
 
 @dataclass(frozen=True)
 class Formulation:
-    """A problem as a program."""
+    """A design problem as a program for the solver."""
 
     problem: Problem
     program: Program
-    R: np.ndarray  # (order, order): coefficients are the rows of x R^-T
-    bounds: dict[str, Bound]  # bounds of the program by "M", "L", "cuts", "beside"; none is empty
+    R: np.ndarray  # (order, order): the coefficients of L are the rows of x R^-T
+    bounds: dict[str, Bound]  # those of "M", "L", "cuts", "beside" that have a frequency
     plant: np.ndarray  # plant of each cut
 
     def solution(self, optimum: Optimum) -> Solution:
@@ -83,27 +87,31 @@ class Formulation:
             U[self.bounds["M"].at] = of["M"]
         if "cuts" in of:
             cuts = Cuts(self.plant, self.bounds["cuts"].at, of["cuts"])
-        V = problem.L_bound @ of["L"]  # of L, where `of` has those of W L
+        V = problem.L_bound @ of["L"]  # multipliers of L, from those of W L
         return Solution(C, U, V, optimum.largest, cuts)
 
 
 class Levels(NamedTuple):
-    """The number of each bound: the t are counted from zero, and then the limits follow."""
+    """The levels, which are the right-hand sides of the bounds, by their numbers.
+
+    A level is a variable t, which is minimised, or a fixed limit. The numbers count the t from
+    zero, and then the limits.
+    """
 
     cost: np.ndarray  # cost of each t
     limits: list[float]  # t <= limits[0]
-    M: np.ndarray  # (n,): number of the bound on the nominal M at each frequency
-    cuts: int  # number of the bound on M of other plants, or within a radius
-    L: int  # number of the bound on W L
+    M: np.ndarray  # (n,): number of the level of the nominal M at each frequency
+    cuts: int  # number of the level of M for other plants, or within a radius
+    L: int  # number of the level of W L
 
     @property
     def one(self) -> int:
-        """Number of the limit 1, which is the last limit."""
+        """Number of the last level, the limit 1."""
         return len(self.cost) + len(self.limits) - 1
 
 
 def levels_of(problem) -> Levels:
-    """Define the levels for (39), for (45) with (46), or for the least gain."""
+    """Define the levels for the objective: (39), (45) with (46), or the least gain."""
     n, one_t = len(problem.omega), np.ones(1)
     match problem.objective.kind:
         case "gain":  # minimise t:  W L <= t,  M <= M_max
@@ -124,7 +132,7 @@ def levels_of(problem) -> Levels:
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
-    """State (39), (45) with (46), or the least gain, with cuts at these plants and frequencies."""
+    """Formulate a problem as a program, with cuts at these plants and frequencies."""
     every, kind = np.arange(len(problem.omega)), problem.objective.kind
     nominal, plant, frequency = _bounded(problem, np.array(plant, int), np.array(frequency, int))
     levels, (at, W_beside) = levels_of(problem), problem.L_bound_beside
@@ -145,10 +153,10 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
 
 
 def _bounded(problem, plant, frequency):
-    """Select frequencies of bounds on the nominal M, and plants and frequencies of the cuts."""
+    """Select the frequencies of bounds on the nominal M, and the plants and frequencies of cuts."""
     summed = problem.objective.summed
-    of_M = (problem.Q != 0) | summed  # elsewhere L alone is bounded
-    # the bound within the radius implies the nominal one
+    of_M = (problem.Q != 0) | summed  # at other frequencies only L is bounded
+    # the bound for all plants within the radius implies the bound for the nominal plant
     within = of_M & (problem.response.radii > 0)
     nominal, within = np.flatnonzero(of_M & (summed | ~within)), np.flatnonzero(within)
     return nominal, np.append(0 * within, plant), np.append(within, frequency)

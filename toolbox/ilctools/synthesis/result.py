@@ -26,18 +26,18 @@ from ilctools.threads import on_one_thread
 
 @dataclass(frozen=True, eq=False)
 class Synthesis:
-    """A learning filter, with what was checked about it by singular values."""
+    """A designed learning filter with its certificate. Print it to see how fast trials converge."""
 
-    certificate: Certificate  # of optimality and bounds, independent of the solver
+    certificate: Certificate  # proves bounds and optimality without the solver
 
     @property
     def problem(self) -> Problem:
-        """The problem that was solved."""
+        """The design problem, with plants, Q, bounds and chosen defaults."""
         return self.certificate.problem
 
     @cached_property
     def filter(self) -> Filter:
-        """The learning filter L, for the plant's own channels in their units."""
+        """The learning filter L, for the plant's channels in their own units."""
         L, response = self.certificate.scaled_filter, self.problem.response
         if (directions := response.directions) is not None:
             L = extended(L, directions.U, directions.V)
@@ -49,22 +49,22 @@ class Synthesis:
 
     @property
     def sigma_M(self) -> np.ndarray:
-        """Largest singular values of the nominal M at the design frequencies, shape (n,)."""
+        """sigma_max(M) of the nominal plant at the design frequencies, shape (n,)."""
         return largest_singular_values(self.problem.M(self._L))
 
     @property
     def sigma_L(self) -> np.ndarray:
-        """Largest singular values of L at the design frequencies, in units of `scale`, (n,)."""
+        """sigma_max(L) at the design frequencies, in units of `scale`, shape (n,)."""
         return largest_singular_values(self._L)
 
     @property
     def value(self) -> float:
-        """The value of the objective."""
+        """The value of the objective, (39) or (45), that the filter reaches."""
         return self.certificate.value
 
     @property
     def rate(self) -> float:
-        """The largest sigma_max(M) of all plants: the gamma of Lemma 1."""
+        """The largest sigma_max(M) of all plants: the gamma of Lemma 1 of the paper."""
         return self.certificate.rate
 
     @property
@@ -84,9 +84,10 @@ class Synthesis:
         return self.problem.omega
 
     def law(self, rest: int = 0, gain: float = 1.0, limits=None, noise=None, model=None) -> Law:
-        """The law (23) with Q and L of the design.
+        """Return the law (23), v_{k+1} = Q (v_k + L e_k), with Q and L of the design.
 
-        The law keeps the P of the design. Trials are compared with it if their loop has no P.
+        The law stores the P of the design. If the loop of a trial has no P, trials are compared
+        with the stored P.
 
         Parameters
         ----------
@@ -94,16 +95,17 @@ class Synthesis:
             As for :class:`ilctools.Law`.
         limits : dict, optional
             Lowest and highest value of commands and of outputs, by name. Each value is a number,
-            one number for each sample (shape (time,)), or None for no limit. For commands see
-            :class:`ilctools.Law`. Each plant within the radius of the design keeps the limits of
-            outputs in every trial. Print the law's ``output_limits`` for the conditions. Without a
-            radius, the limits of outputs hold for the model only.
+            an array with one number for each sample, or None for no limit. For limits of commands,
+            see :class:`ilctools.Law`. Limits of outputs are kept in every trial by each plant
+            within the radius of the design. To see the conditions, print the law's
+            ``output_limits``. If the design has no radius, limits of outputs hold only if the model
+            is exact.
         noise : dict, optional
-            Bound on the non-repeating noise in one sample, for outputs with limits, by name. The
-            law keeps twice this distance from the limits.
+            Bound on the non-repeating noise in one sample, by name, for outputs with limits. The
+            law keeps a distance of twice this bound from the limits.
         model : control.StateSpace, optional
-            A model of P, which limits of outputs need if P is known by samples. The distance of the
-            model from the samples is added to their radius.
+            A model of P. Limits of outputs need a model if P is known by samples. The distance of
+            the model from the samples is added to the radius of the samples.
         """
         problem = self.problem
         if isinstance(problem.lowpass, SampledQ):
@@ -120,7 +122,7 @@ class Synthesis:
         )  # fmt: skip
 
     def _limits_by_kind(self, limits, noise, model):
-        """Split limits into limits of commands, or None, and limits of outputs, or None."""
+        """Split limits into limits of commands and limits of outputs; each may be None."""
         outputs, inputs = ([str(name) for name in names] for names in self.problem.response.names)
         of_outputs = {}
         if isinstance(limits, dict):
@@ -143,25 +145,26 @@ class Synthesis:
         return of_commands or None, OutputLimits(of_outputs, noise or {}, region)
 
     def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
-        """Compute the rate of the filter on another plant, and whether trials converge.
+        """Compute how fast trials with the designed Q and L converge on another plant.
 
         Parameters
         ----------
         P : as for :func:`synthesise`
-            One plant or several, with the channels and the sampling period of the design. For a
-            loop of :func:`current_trial_loop` pass ``loop.around(plant)[:, loop.inputs]``, because
-            `plant` alone has no feedback.
+            One or several plants, with the channels and the sampling period of the design. If the
+            design is for a loop of :func:`current_trial_loop`, pass
+            ``loop.around(plant)[:, loop.inputs]``, because `plant` alone has no feedback.
         omega : array_like, shape (n,), optional
             Frequencies, rad/s. Default: the frequencies of P, or else of the design.
-        uncertainty
-            As for :func:`synthesise`.
+        uncertainty : as for :func:`synthesise`
+            Radius around each plant.
 
         Returns
         -------
         Convergence
-            Print it. `rate` is the gamma of Lemma 1 for the worst plant. If `spectral_radius` is
-            below one, trials converge even if the rate is above one. For another Q, see
-            :func:`convergence`.
+            The result, which can be printed. `rate` is the gamma of Lemma 1 of the paper for the
+            worst plant. If `rate` is below one, the error decreases in each trial. If only
+            `spectral_radius` is below one, trials converge, but the error may grow at first. For
+            another Q, use :func:`convergence`.
         """
         design = self.problem
         first, *_ = named(P).values()

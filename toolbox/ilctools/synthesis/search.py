@@ -14,29 +14,30 @@ from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
-ENOUGH = 1.5  # factor on the gain of a filter of least peak, which must be well within the bound
-SAME_PEAK = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
+ENOUGH = 1.5  # factor on the gain of a filter with the least peak: a bound that it meets easily
+SAME_PEAK = (1e-9, 1e-6, 1e-4)  # relative differences, tried in turn, up to which peaks are equal
 
 
 @on_one_thread
 def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     """Design the filter of least gain among all filters of least peak.
 
-    The peak is the largest sigma_max(M), (45) of the paper. One trial leaves at most this fraction
-    of the remaining error. Without a bound on L, (46), many filters may have the least peak,
-    and their gains differ by orders of magnitude. A solver then returns an arbitrary one of these
-    filters. This function returns the filter with the least max sigma_max(L). The filter keeps the
-    least peak to a relative 1e-9. If such filters are too similar for the solver to distinguish,
-    the filter keeps the peak to 1e-6 or 1e-4. If the least peak is below a hundredth of the peak
-    for L = 0, these numbers are relative to this hundredth.
+    The peak is the largest sigma_max(M) over the frequencies, (45) of the paper. One trial leaves
+    at most this fraction of the remaining error. Without the bound (46) on L, many filters may have
+    the least peak, although their gains differ by orders of magnitude. A solver then returns an
+    arbitrary filter among them. This function returns the filter whose largest sigma_max(L) over
+    the frequencies is least. The peak of this filter exceeds the least peak by a relative 1e-9 at
+    most. If the solver cannot distinguish filters with such peaks, 1e-6 or 1e-4 is allowed instead.
+    If the least peak is below a hundredth of the peak for L = 0, these numbers are relative to this
+    hundredth.
 
-    Parameters and errors are the same as for :func:`synthesise`, except for `objective` and
-    `L_max`. Q must be given, and `base` must be None. The result is the result of (45) with (46),
-    where `problem.L_max` is the least gain.
+    Parameters and errors are the same as for :func:`synthesise`, but `objective` and `L_max` cannot
+    be passed. Q must be given, and `base` must be None. The result is a design by (45) with (46),
+    whose `problem.L_max` is the least gain.
 
     See Also
     --------
-    synthesise : (39) and (45)
+    synthesise : designs filters by (39) and (45)
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""The solvers of the convex problems, in terms of bounds and multipliers; none is trusted."""
+"""The solver of the convex problems. The certificate checks its results independently."""

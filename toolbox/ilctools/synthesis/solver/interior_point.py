@@ -1,37 +1,42 @@
-"""The solver of the synthesis: a structured primal-dual interior-point method.
+"""The solver of the synthesis: a primal-dual interior-point method that uses the structure of M.
 
-In the program of `program`, each bound is a small linear matrix inequality at each column,
+The module `program` states the program that is solved: minimise cost . t, where the t are upper
+bounds on singular values. Each bound is a small linear matrix inequality at each of its
+frequencies, which are called columns here,
 
     S = [[Lambda, G], [G^H, b I]] >= 0,    G = F + T L(x),    Lambda and b linear in t and d,    (1)
 
-see `bounds`. The inequalities have multipliers Y >= 0, and t <= limit has multipliers eta >= 0. At
-the optimum the Lagrangian cost . t - sum <S, Y> - (limit - t) . eta is stationary:
+see `bounds`. The unknowns are x, the coefficients of L, and the numbers t and d. The inequalities
+have multipliers Y >= 0, and t <= limit has multipliers eta >= 0. <S, Y> is tr(S Y). At the optimum,
+the Lagrangian cost . t - sum <S, Y> - (limit - t) . eta is stationary:
 
     sum <dS/dx, Y> = 0,    sum <dS/dd, Y> = 0,    sum <dS/dt, Y> - eta = cost.    (2)
 
-If (2) holds, the Lagrangian is at most the optimum, for any Y and eta. At x = t = d = 0 the
-Lagrangian is the dual value
+If (2) holds, the Lagrangian is a lower bound on the optimum, for any Y and eta. At x = t = d = 0,
+the Lagrangian is the dual value
 
     -sum <S(0), Y> - limit . eta.    (3)
 
-The gap, which is the difference between the objective and the dual value, is the complementarity
-sum <S, Y> + (limit - t) . eta. The method follows the central path
+The gap is the difference between the objective and the dual value. If (2) holds, the gap equals the
+complementarity, which is defined as sum <S, Y> + (limit - t) . eta. At the optimum, the gap is
+zero. The method follows the central path
 
     Y S = mu I,    (limit - t) eta = mu,    (4)
 
-to mu = 0. The method linearises (4) and takes the Hermitian part (the HKM direction [1]). With
-X = S^-1,
+as mu decreases to zero. For each step, the method linearises (4) and takes the Hermitian part,
+which gives the HKM direction [1]. With X = S^-1, the direction is
 
     dY = mu X - Y - herm(Y dS X),    deta = (mu - eta (dlimit - dt)) / (limit - t) - eta.    (5)
 
-Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as in SDPT3 [3]. See
-[4] for the theory. Two points are particular to this solver:
+Mehrotra's corrector [2] subtracts the product of dY and dS of a first direction, the predictor, as
+in SDPT3 [3]. See [4] for the theory. Two points are particular to this solver:
 
-- t, d and all blocks are eliminated, see `newton`. One symmetric system in the coefficients
-  remains. Its matrix is a sum over i of m^2 x m^2 matrices times products of powers of z_i.
-- G always belongs to an actual L. If a bound is violated at the start, its limit is moved out, and
-  moved back with the steps. Only if this fails, the smallest possible limit is computed ("phase
-  one").
+- The changes of t, d and Y are eliminated, see `newton`. One symmetric system in the coefficients
+  remains. Its matrix is a sum over the frequencies i of m^2 x m^2 matrices times products of powers
+  of z_i.
+- G is always F + T L for an actual filter L. If L violates a bound at the start, the limit of this
+  bound is raised, and lowered again with the steps. Only if this fails, the smallest feasible limit
+  is computed first ("phase one").
 
 [1] C. Helmberg, F. Rendl, R. Vanderbei, H. Wolkowicz, SIAM J. Optim. 6 (1996) 342; M. Kojima,
     S. Shindoh, S. Hara, ibid. 7 (1997) 86; R. Monteiro, ibid. 7 (1997) 663.
@@ -52,23 +57,23 @@ from ilctools.synthesis.solver.inequalities import hermitian, inner, inverse, lo
 from ilctools.synthesis.solver.newton import NewtonSystem
 from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 
-RELATIVE_GAP = 2e-9  # gap at which to stop
-SHARE_OF_GAP = 0.1  # share of the gap by which rounding may keep (2) from holding
-MOST_CORRECTIONS = 10  # corrections of a direction to make (2) hold
+RELATIVE_GAP = 2e-9  # the method stops at a smaller gap, relative to the objective
+SHARE_OF_GAP = 0.1  # largest effect of the residual of (2), relative to the gap
+MOST_CORRECTIONS = 10  # corrections of a direction that reduce the residual of (2)
 MOST_STEPS = 100
-MOST_STAGNANT = 8  # steps without a smaller gap after which to stop
-LEAST_OBJECTIVE = 1e-4  # relative to no learning: a smaller objective is as good as zero
-NEARLY_PROVEN = 1e-6  # relative: a bound as near to the least bound may miss its proof
+MOST_STAGNANT = 8  # the method stops after so many steps without a smaller gap
+LEAST_OBJECTIVE = 1e-4  # relative to the objective for L = 0: a smaller objective is as good as 0
+NEARLY_PROVEN = 1e-6  # relative accuracy of the proof that a limit is infeasible
 SHORTEST_STEP = 0.01  # a shorter step makes no progress
-LEAST_DAMPING, MORE_DAMPING = 0.9, 0.09  # damping of steps to the boundary, by their lengths [3]
-MOVED_OUT = 1.5  # factor: a violated limit begins at this many times the value that violates it
-CENTRED = 5.0  # factor on the mu with which (2) holds in the mean: the start is farther inside
-LARGEST_X = 5.0  # |x|^2 by frequency and channel where bounds hold: 2^2 from M, 1 from L
+LEAST_DAMPING, MORE_DAMPING = 0.9, 0.09  # share of a step to the boundary that is taken [3]
+MOVED_OUT = 1.5  # factor: a violated limit is first raised to so many times the violating value
+CENTRED = 5.0  # factor on the mu for which (2) holds on average, to start farther inside
+LARGEST_X = 5.0  # bound on |x|^2 per frequency and channel for feasible x: 2^2 from M, 1 from L
 
 
 @dataclass(frozen=True)
 class Point:
-    """An iterate, or a direction."""
+    """A point of the iteration with all unknowns and multipliers, or a direction."""
 
     program: Program
     x: np.ndarray
@@ -80,7 +85,7 @@ class Point:
     eta: np.ndarray
 
     def moved(self, direction, primal, dual):
-        """The point after a step in a direction."""
+        """Return the point after a step in a direction, with primal and dual step lengths."""
         return Point(
             self.program,
             self.x + primal * direction.x,
@@ -101,7 +106,7 @@ class Point:
 
     @property
     def room(self):
-        """How far t is from its limit."""
+        """The distance limit - t of each t from its limit."""
         return self.limits[0] - self.t
 
     @property
@@ -111,12 +116,12 @@ class Point:
 
     @property
     def within_limits(self):
-        """Whether no limit is moved out."""
+        """Whether all limits have their final values, so that none is raised."""
         return (self.limits == self.program.limits).all()
 
     @cached_property
     def complementarity(self):
-        """The complementarity sum <S, Y> + (limit - t) . eta."""
+        """The complementarity, which is defined as sum <S, Y> + (limit - t) . eta."""
         return sum(map(inner, self.S, self.Y)) + self.room @ self.eta
 
     @property
@@ -128,12 +133,12 @@ class Point:
 
     @cached_property
     def gap(self):
-        """The gap between objective and dual value, if (2) holds except for rounding."""
+        """The gap between objective and dual value, which is valid if (2) holds up to rounding."""
         return max(self.complementarity, abs(self.objective - self.dual_value))
 
     @cached_property
     def stationarity(self):
-        """The residual sum <dS/dx, Y> of (2)."""
+        """The residual sum <dS/dx, Y> of (2), which is zero if (2) holds."""
         program, of_L = self.program, []
         for bound, Y in zip(program.bounds, self.Y, strict=True):
             p = len(bound.F)
@@ -147,13 +152,13 @@ class Point:
 
 
 def sums(parts, changes, length):
-    """Compute each part after a step."""
+    """Return each part plus `length` times its change."""
     pairs = zip(parts, changes, strict=True)
     return [part + length * change for part, change in pairs] if length else parts
 
 
 def begin(program, x):
-    """Make a point at x that fulfils (4); limits of bounds that x violates are moved out."""
+    """Make a point at x that fulfils (4); the limits of bounds that x violates are raised."""
     G = program.matrices(x)
     shares = [bound.first_share(G_j) for bound, G_j in zip(program.bounds, G, strict=True)]
     t, peaks = program.largest(program.values(x, shares))
@@ -170,7 +175,10 @@ def begin(program, x):
 
 
 class Newton:
-    """Directions from a point, by (5) and (2); a LinAlgError if rounding spoils them."""
+    """Directions from a point p, by (5) and (2).
+
+    If rounding makes a direction too inaccurate, a LinAlgError is raised.
+    """
 
     def __init__(self, p):
         self.p, self.X = p, [inverse(S) for S in p.S]
@@ -184,7 +192,7 @@ class Newton:
         return replace(d, Y=dY)
 
     def without_unknowns(self, mu, predictor):
-        """Compute (5) for dx = dt = dd = 0: dY, deta, and the change of the limits."""
+        """Compute dY and deta by (5) for dx = dt = dd = 0, and the change of raised limits."""
         p = self.p
         toward = p.program.limits - p.limits
         dY = [mu * X - Y for X, Y in zip(self.X, p.Y, strict=True)]
@@ -198,7 +206,7 @@ class Newton:
         return d
 
     def correction(self, multipliers):
-        """Compute the direction that fulfils (2) for multipliers, as far as rounding allows."""
+        """Compute the change of all unknowns after which the multipliers fulfil (2)."""
         p = self.p
         dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
         dG, deta = p.program.linear(dx), p.eta / p.room * dt
@@ -206,15 +214,15 @@ class Newton:
         return self.less_product(change, p.Y, change.S)
 
     def direction(self, mu, predictor=None):
-        """Compute the direction to (4), except for rounding."""
+        """Compute the direction to the point with this mu on the central path (4)."""
         d = self.without_unknowns(mu, predictor)
         return d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
 
     def refined(self, d):
-        """Remove from a direction the residual of (2) that rounding has left.
+        """Correct a direction until the residual of (2) that rounding has caused is small.
 
         This is the method of conjugate residuals [5]: the effect of each correction is made
-        orthogonal to the effects of the corrections before.
+        orthogonal to the effects of all earlier corrections.
         """
         p, earlier = self.p, []
         for _ in range(MOST_CORRECTIONS):
@@ -234,7 +242,7 @@ class Newton:
 
 
 def moved_best(d, change, residual):
-    """Move a direction along a change, to where the residual of (2) is least."""
+    """Add the multiple of a change to a direction with which the residual of (2) is least."""
     effect = change.stationarity
     length = -(effect * residual).sum() / (effect**2).sum()
     return d.moved(change, length, length)
@@ -250,7 +258,7 @@ def step_lengths(p, direction):
 
 
 def mehrotra(p):
-    """Compute the direction of Mehrotra's method from p."""
+    """Compute the direction of Mehrotra's predictor-corrector method at p."""
     newton, total = Newton(p), p.complementarity
     predictor = newton.direction(mu=0.0)
     primal, dual = step_lengths(p, predictor)
@@ -260,20 +268,21 @@ def mehrotra(p):
 
 
 def advanced(p, direction):
-    """Compute the point after a step that stays inside; None if the step is too short."""
+    """Take a step in which all inequalities stay strict; None if the step is too short."""
     lengths = step_lengths(p, direction)
     damping = LEAST_DAMPING + MORE_DAMPING * min(lengths)
     primal, dual = (1.0 if length == 1 else damping * length for length in lengths)
     if max(primal, dual) < SHORTEST_STEP:
         return None
     after = p.moved(direction, primal, dual)
-    # without rounding
+    # after a full step, the limits are exactly the final ones
     return replace(after, limits=p.program.limits) if primal == 1 else after
 
 
 def ruled_out(p, objective):
-    """Prove by the dual value (3) that no x that meets the bounds reaches an objective."""
-    # `missed` is what (2) misses, times the largest |x| of a filter that meets the bounds.
+    """Check if the dual value (3) proves that no feasible x reaches this objective."""
+    # `missed` bounds the error of the dual value: the residual of (2) times the largest feasible
+    # |x|.
     program = p.program
     n, m = program.basis.shape[1], program.bounds[0].F.shape[1]
     missed = np.sqrt(LARGEST_X * n * m) * np.linalg.norm(p.stationarity)
@@ -281,7 +290,7 @@ def ruled_out(p, objective):
 
 
 class Outcome(Enum):
-    """Reasons why the central path was left."""
+    """Reasons why the iteration along the central path ended."""
 
     OPTIMAL = "the duality gap is closed"
     ENOUGH = "the objective is low enough"
@@ -295,7 +304,7 @@ class Outcome(Enum):
 class Path(NamedTuple):
     """The result of following the central path."""
 
-    best: Point | None  # the point of the smallest gap within the limits
+    best: Point | None  # the point with the smallest gap among those within the final limits
     outcome: Outcome
 
 
@@ -319,7 +328,7 @@ def follow(p, enough=0.0) -> Path:
 
 
 def outcome_at(p, enough, stagnant) -> Outcome | None:
-    """Say why the path ends at p, `stagnant` steps after the best point; None if it goes on."""
+    """Return why the path ends at p, `stagnant` steps after the best point; None if it goes on."""
     program = p.program
     if not p.within_limits:
         largest = program.cost.sum() * program.limits[0]
@@ -333,10 +342,11 @@ def outcome_at(p, enough, stagnant) -> Outcome | None:
 
 
 def minimise(program: Program) -> Optimum:
-    """Solve a program; Infeasible if the bounds cannot be met, RuntimeError if the method fails.
+    """Solve a program.
 
-    The path begins at zero. If this path does not lead within the limits, another path begins at
-    the x of phase one.
+    If the bounds cannot be met, Infeasible is raised. If the method fails, a RuntimeError is
+    raised. The path begins at x = 0. If this path does not reach the final limits, another path
+    begins at the x of phase one.
     """
     zero = np.zeros((len(program.rows), len(program.basis)))
     best, outcome = follow(begin(program, zero))
@@ -350,7 +360,7 @@ def minimise(program: Program) -> Optimum:
 
 
 def phase_one(program, x) -> Point:
-    """Find a point that meets the bounds, by minimising the largest value."""
+    """Find a point that meets the bounds, by minimising the largest bounded singular value."""
     nearest, outcome = follow(begin(program.minimax(), x), enough=program.most)
     if nearest is None:
         raise RuntimeError(f"the solver found no filter to begin with: {outcome.value}")
@@ -364,7 +374,7 @@ def phase_one(program, x) -> Point:
 
 
 def optimum(p):
-    """Make the optimum that is returned from a point."""
+    """Convert the final point into the Optimum that the solver returns."""
     program = p.program
     levels = program.at_columns(p.t, p.limits)
     shares = [d / b for d, b in zip(p.d, levels, strict=True)]

@@ -1,20 +1,24 @@
-"""The Newton system of the interior-point method, with all but the coefficients eliminated.
+"""The Newton system of the interior-point method, reduced to the coefficients by elimination.
 
-The unknowns are x, with G = F + T L and L = x Phi, and the numbers t and d in Lambda and b of S.
-For directions dS_a, dS_b in which S can change, the matrix of the system is <dS_a, Y dS_b X>. The
-right-hand side is the difference between <dS_a, Y> and its required value.
+The notation is that of `interior_point`. The unknowns are the coefficients x, with G = F + T L and
+L = x Phi, and the numbers t and d in Lambda and b of S. Each unknown changes S in a direction. For
+two such directions dS_a and dS_b, the entry of the matrix of the system is <dS_a, Y dS_b X>. The
+right-hand side is the difference between <dS_a, Y> and the value that stationarity requires.
 
-At each column of a bound, at most one number z belongs to this column alone. Here z is the d of the
-column, or a t of its own. The number z is eliminated at its column. Let a be the direction of z in
-the diagonal of S, and e the direction of a shared t. Then
+Each column of a bound, which is one of its frequencies, has at most one unknown z that occurs in no
+other column. This z is the d of the column, or a t that belongs to this column alone. A t that
+occurs in many columns is called shared. Each z is eliminated at its column. Let a be the direction
+of z in the diagonal of S, and e the direction of a shared t. Then
 
     zz = <a, Y a X>,  zt = <a, Y e X>,  tt = <e, Y e X>,  zL = <a, Y dS X>,  tL = <e, Y dS X>,
 
-where dS is the change by an entry of L, and
+where dS is the change of S by an entry of L. If r_z is the right-hand side for z, the change of z
+is
 
     dz = (r_z - Re(zL . dL) - zt dt) / zz,    (1)
 
-and zt zt / zz, zt zL / zz and zL zL / zz are subtracted from what remains for t and L.    (2)
+The elimination of z subtracts zt zt / zz, zt zL / zz and zL zL / zz from the entries of the matrix
+that remain for t and L.    (2)
 """
 
 import numpy as np
@@ -26,7 +30,7 @@ EPS = np.finfo(float).eps
 
 
 class Block:
-    """One bound at a point: its second derivatives in z, in a shared t and in the entries of L."""
+    """The contribution of one bound to the system, for z, a shared t and the entries of L."""
 
     def __init__(self, program, bound, X, Y, barrier):
         self.program, self.bound, self.X, self.Y = program, bound, X, Y
@@ -37,7 +41,7 @@ class Block:
         self._eliminate_z(barrier)
 
     def _eliminate_z(self, barrier):
-        """Compute what (1) needs, and tt and tL after the elimination of z, (2)."""
+        """Compute the terms of (1), and tt and tL after the elimination of z by (2)."""
         z, t = self.along_z, self.along_t
         zz = self._second(z, z) + np.where(self.has_own_t, barrier, 0)
         zt = self.has_shared_t * self._second(z, t)
@@ -49,20 +53,20 @@ class Block:
         self.tL = self.has_shared_t * self._mixed(t) - self.zt_by_zz * self.zL  # (2)
 
     def _second(self, a, b):
-        """Compute <a, Y b X> for two directions in the diagonal, (c,)."""
+        """Compute <a, Y b X> at each column for two directions in the diagonal of S, (c,)."""
         return np.einsum("i,ijc,j->c", a, (self.Y * self.X.conj()).real, b)
 
     def _mixed(self, a):
-        """Compute <a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
+        """Compute <a, Y dS X> for a direction in the diagonal of S and each entry of L, (e, c)."""
         X, Y, a, p = self.X, self.Y, a[:, None], len(self.bound.F)
         W = product(X[p:] * a, Y[:, :p]) + product(Y[p:] * a, X[:, :p])
         return self.program.of_entries(self.bound, W)
 
     def forms(self, j, k):
-        """Compute the forms A, Hermitian, and B, symmetric, for pairs j, k of entries, (pairs, c).
+        """Compute the Hermitian form A and the symmetric form B for pairs of entries, (pairs, c).
 
-        j and k are entries of L. D is the off-diagonal block of dS. <dS, Y dS' X> is the real part
-        of
+        j and k number the entries of L in each pair. D and D' are the off-diagonal blocks of dS and
+        dS'. The entry <dS, Y dS' X> of the matrix is the real part of
 
             tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)).
         """
@@ -79,9 +83,10 @@ class Block:
         return A - self.zL[j].conj() * follows_z, B - self.zL[j] * follows_z  # (2)
 
     def residuals(self, Y, of_own_t):
-        """Compute r_z at each column, and r_t of a shared t, from which z is eliminated.
+        """Compute the right-hand sides: r_z at each column, and r_t of a shared t without z.
 
-        Y are the multipliers.
+        Y are the multipliers of the bound. `of_own_t` is the value that stationarity requires at
+        each column with its own t.
         """
         diagonal = np.einsum("iin->in", Y).real
         r_z = self.along_z @ diagonal - self.has_own_t * of_own_t
@@ -89,15 +94,16 @@ class Block:
         return r_z, r_t
 
     def change_of_z(self, r_z, dt, dL):
-        """Compute dz by (1), for changes of a shared t and of the entries of L."""
+        """Compute dz by (1) from the changes of a shared t and of the entries of L."""
         of_L = (self.zL * dL[:, self.bound.at]).real.sum(axis=0)
         return self.inverse_zz * (r_z - of_L) - self.zt_by_zz * dt
 
 
 class NewtonSystem:
-    """The factorised system at a point; `barrier` has the second derivative of each t's barrier.
+    """The factorised Newton system at a point.
 
-    A LinAlgError is raised if the bounds leave less room than rounding takes.
+    `barrier` is eta / (limit - t), the entry of each t in the matrix from its limit. If the
+    feasible set is smaller than rounding, a LinAlgError is raised.
     """
 
     def __init__(self, program, X, Y, barrier):
@@ -129,9 +135,9 @@ class NewtonSystem:
         return H.reshape(E * order, -1)
 
     def solve(self, r_x, Y, eta):
-        """Compute the changes of x, of t and of each d for multipliers Y and eta.
+        """Compute the changes of x, of t and of each d for given multipliers Y and eta.
 
-        r_x is the residual of the multipliers in x.
+        r_x is the residual of stationarity with respect to x.
         """
         program, blocks = self.program, self.blocks
         of_t = program.cost + eta
@@ -153,12 +159,15 @@ class NewtonSystem:
 
 
 def as_real(A):
-    """Interleave real and imaginary parts, (..., 2 n)."""
+    """Return real and imaginary parts in turn along the last axis, (..., 2 n)."""
     return np.ascontiguousarray(A).view(float)
 
 
 def factorised(H):
-    """Factorise a matrix with ones on the diagonal by Cholesky, shifted if necessary."""
+    """Factorise a matrix with ones on its diagonal by Cholesky.
+
+    A small multiple of the identity is added, which is raised until the factorisation succeeds.
+    """
     shift = 1e-15
     while True:
         try:
