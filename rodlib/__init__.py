@@ -2,8 +2,8 @@
 
 The package contains what the paper is about: the rod, its models, its loop and its rigs, and the
 workbench. The toolbox :mod:`ilctools` serves any plant. A name is imported when it is first used.
-Code that needs only a part of the package therefore does not wait for all parts. An argument that
-does not fit is a ValueError that names the argument.
+Code that needs only a part of the package therefore does not wait for all parts. If an argument is
+not valid, a ValueError names the argument.
 """
 
 from ilctools import lazily

@@ -24,15 +24,15 @@ class TemperatureControlLab:
     A heater that is switched off cannot cool, but a heater that is on can be turned down. Therefore
     :meth:`apply` takes heaters relative to the state of rest, in percent, and :meth:`read` returns
     temperatures relative to the state of rest, in kelvin. Every trial begins at rest. The
-    temperatures at rest are the mean over the last minute before the first trial. The emulator is
-    then 0.15 K below its rest; after 300 s it would be 3.5 K below. Heaters saturate at 0 and
-    100 %.
+    temperatures at rest are the mean over the last minute before the first trial. After the default
+    wait of 900 s, the emulator is still 0.15 K below its final state. After 300 s, it would be
+    3.5 K below. Heaters saturate at 0 and 100 %.
 
     Parameters
     ----------
     kit : bool
-        Whether to connect to the kit. Default: the emulator, which computes its time and does not
-        wait.
+        Whether to connect to the kit. By default, this object connects to the emulator. The time of
+        the emulator is simulated, so that no call has to wait.
     rest : (float, float)
         The heaters at rest, %.
     Ts : float
@@ -45,7 +45,7 @@ class TemperatureControlLab:
     See Also
     --------
     heat_balance : a model of the board
-    record : trials on the board
+    record : runs trials on the board
 
     Examples
     --------
@@ -136,9 +136,10 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
 
-    The inputs are Q1, Q2 (%, held for Ts), and the outputs are T1, T2 (K). All are relative to a
-    state of rest. The gains are in K/s per %, loss and exchange in 1/s, the lag and Ts in s. All
-    must be positive, which is not checked.
+    H_i is the temperature of heater i, and T_i is the reading of its thermometer. The inputs are
+    Q1, Q2 (%, held for Ts), and the outputs are T1, T2 (K). All are relative to a state of rest.
+    The gains are in K/s per %, loss and exchange in 1/s, the lag and Ts in s. All must be positive,
+    which is not checked.
 
     See Also
     --------

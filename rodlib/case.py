@@ -25,8 +25,8 @@ def paper_choices(**changes) -> dict:
     """Return the paper's choices for the synthesis, Section IV-B, with any changes.
 
     The choices are keyword arguments of :func:`ilctools.synthesise`. L_max is in K/K, and the band
-    is in rad/s. The paper's L has no base. The paper's design frequencies are
-    ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
+    is in rad/s. The paper's L is a finite filter, which `base` = None asks for. The paper's design
+    frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
 
     See Also
     --------
@@ -95,7 +95,7 @@ def paper_loop(rod: Rod = PAPER_ROD, degree: int = 3, Ts: float = 1.0) -> Curren
             "minimal_realisation and current_trial_loop"
         )
     model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
-    model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
+    model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10) of the paper
     units = dict.fromkeys(rod.inputs, "W") | dict.fromkeys(["theta_a", *rod.outputs], "K")
     plant = control.sample_system(model, Ts, method="zoh")
     return current_trial_loop(plant, controls=["Q1", "Q3"], units=units)
@@ -106,7 +106,7 @@ def assumed_reference(
     steepness: float = 1.0,
     plateaus: Sequence[Sequence[float]] = ((10.0, 6.0), (8.0, 10.0)),
 ) -> np.ndarray:
-    """Return an assumed reference trajectory, as the paper shows its own as a plot only (Fig. 7).
+    """Return an assumed reference trajectory; the paper shows its own only as a plot (Fig. 7).
 
     Both outputs start and end at the initial ambient temperature. In between they stay at two
     plateaus. They move along quintic steps, whose first and second derivatives are continuous.

@@ -1,6 +1,7 @@
 """The rod behind a digital controller: between a zero-order hold and a sampler.
 
-The response is not an approximate model: what is left out is below the rounding of the numbers.
+The response is computed without an approximate model. The neglected part is smaller than the
+rounding of numbers.
 """
 
 import numpy as np
@@ -8,14 +9,15 @@ import numpy as np
 from ilctools import arguments
 from rodlib.rod import Rod, exact_response, modes
 
-MODES = 10_000  # modes that are summed at most: with 1000 frequencies they take 160 MB
+MODES = 10_000  # largest number of summed modes: with 1000 frequencies they take 160 MB
 
 
 def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     """Compute the response of the rod's equation (1)-(4) between a zero-order hold and a sampler.
 
-    The modes cos(n pi z / l), n = 0, 1, ..., of the rod decay with s_n = -(kappa_2 + lambda
-    (n pi / l)^2) / kappa_1. With r_n for the static response of mode n and p_n = exp(s_n Ts),
+    Equations (1)-(4) are those of the paper. The modes cos(n pi z / l), n = 0, 1, ..., of the rod
+    decay with s_n = -(kappa_2 + lambda (n pi / l)^2) / kappa_1. With r_n for the static response of
+    mode n and p_n = exp(s_n Ts),
 
         G(z) = sum_n r_n (1 - p_n) / (z - p_n).
 

@@ -76,9 +76,9 @@ class PeltierParameters:
     """Parameters of elements, sinks, surface and sensors of the rig, and of its inner map.
 
     All parameters are assumed. The convection is Nu = 0.54 Ra^(1/4), for a warm plate that faces up
-    in air at 300 K, with area by perimeter as its length (W. H. McAdams, Heat Transmission, 1954).
-    The formula holds from Ra = 1e4 on; at 10 K, Ra is half of this. A cold rod has the same
-    convection here, which is too much.
+    in air at 300 K, whose length is its area divided by its perimeter (W. H. McAdams, Heat
+    Transmission, 1954). The formula holds from Ra = 1e4 on; at 10 K, Ra is half of this. A cold rod
+    has the same convection here, which is too much.
 
     See Also
     --------
@@ -223,7 +223,7 @@ class PeltierRig(Bench):
         self.time += self.Ts
 
     def _slopes(self, state, pumped):
-        """The terms that depend on the state and are not in the exponentials, K/s by state."""
+        """Compute the rates that depend on the state and are not in the exponentials, K/s."""
         above, hot = state - self.ambient, state + self.parameters.temperature
         lost = self._convection * np.sqrt(np.sqrt(np.abs(above))) * above
         return pumped * hot - lost - self._radiation * np.square(hot * hot)
@@ -235,7 +235,7 @@ class RestartingPeltierRig(Restarting, PeltierRig):
     See Also
     --------
     PeltierRig : a rig that has to come to rest
-    record : trials on a rig
+    record : runs trials on a rig
 
     Examples
     --------
@@ -248,7 +248,7 @@ class RestartingPeltierRig(Restarting, PeltierRig):
 
 
 def _linear_part(conducting, p):
-    """A of conduction in the rod, through the elements, from the sinks and into the sensors, 1/s.
+    """Make A of conduction in the rod and the elements, and of sinks and sensors, 1/s.
 
     The states are the temperatures of cells and sinks, and the values that the sensors show.
     """
@@ -267,7 +267,10 @@ def _linear_part(conducting, p):
 
 
 def _exponentials(A, Ts):
-    """exp(A Ts), int_0^Ts exp(A s) ds and int_0^Ts exp(A s) (1 - s / Ts) ds, for row states."""
+    """Compute exp(A Ts), int_0^Ts exp(A s) ds and int_0^Ts exp(A s) (1 - s / Ts) ds.
+
+    The matrices are transposed, because states are rows.
+    """
     one, zero = np.eye(len(A)), np.zeros(A.shape)
     blocks = expm(Ts * np.block([[A, one, zero], [zero, zero, one], [zero] * 3]))
     # states are rows, so that the states of several rigs are a matrix

@@ -124,9 +124,9 @@ class VirtualRig(Bench):
 
     Notes
     -----
-    With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) separate into one first-order equation per
-    mode. Commands are held for a period and then pass the lag of the elements. Modes and lag are
-    integrated exactly.
+    With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) of the paper separate into one first-order
+    equation per mode. Commands are held for a period and then pass the lag of the elements. Modes
+    and lag are integrated exactly.
 
     Examples
     --------
@@ -184,7 +184,7 @@ class RestartingRig(Restarting, VirtualRig):
     See Also
     --------
     VirtualRig : a rig that has to cool down
-    record : trials on a rig
+    record : runs trials on a rig
 
     Examples
     --------

@@ -1,9 +1,9 @@
 """The heated rod: its parameters, its partial differential equation, its state-space model.
 
-Section II of the paper describes the rod by (1)-(4). :func:`midr` turns (1)-(4) into the ordinary
-differential equations (8), (9). :func:`exact_response` solves (1)-(4) without approximation, in the
-frequency domain, and every approximation is compared with this solution.
-:func:`rodlib.sampled_response` is the same solution behind a digital controller.
+Equation numbers are those of the paper. Section II describes the rod by (1)-(4). :func:`midr` turns
+(1)-(4) into the ordinary differential equations (8), (9). :func:`exact_response` solves (1)-(4)
+without approximation, in the frequency domain, and every approximation is compared with this
+solution. :func:`rodlib.sampled_response` is the same solution behind a digital controller.
 """
 
 from dataclasses import dataclass, fields
@@ -82,7 +82,7 @@ class Rod:
         return [f"y{i + 1}" for i in range(len(self.sensors))]
 
 
-PAPER_ROD = Rod()  # Section IV
+PAPER_ROD = Rod()  # Section IV of the paper
 
 
 def bernstein_basis(rod: Rod, degree: int) -> BPoly:
@@ -161,7 +161,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
 
 
 def _weighted(rod, degree, function):
-    """Integrals of a function of z times polynomials on each section; the last row: value at l.
+    """Integrate a function of z times polynomials on each section; the last row is its value at l.
 
     The polynomials are Legendre's, of degree M - 1 or less.
     """
@@ -199,9 +199,9 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
 
         kappa_1 dx_i/dt = lambda (x_(i-1) - 2 x_i + x_(i+1)) / dz^2 + mu_i + kappa_2 (theta_a - x_i)
 
-    without a neighbour at the ends. Between the middles of two cells, sensors read the straight
-    line. Beyond the middles of the outer cells, sensors read the average of the cell. Heating makes
-    no cell colder.
+    without a neighbour at the ends. A sensor between the middles of two cells reads the linear
+    interpolation between them. Beyond the middle of an outer cell, a sensor reads the average of
+    this cell. Heating makes no cell colder.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def labelled(rod: Rod, A, B, C) -> control.StateSpace:
 
 
 def exact_response(rod: Rod, s) -> np.ndarray:
-    """Compute the transfer function of the rod's equation (1)-(4), without approximation.
+    """Compute the transfer function of the rod's equations (1)-(4), without approximation.
 
     With gamma(s)^2 = (kappa_1 s + kappa_2) / lambda the temperature obeys
     theta'' = gamma^2 theta - (mu + kappa_2 theta_a) / lambda with theta'(0) = theta'(l) = 0.
@@ -266,7 +266,7 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n, outputs, inputs), complex
-        Inputs and outputs in the order of :func:`midr`.
+        Inputs and outputs are in the order of :func:`midr`.
 
     See Also
     --------

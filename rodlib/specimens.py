@@ -18,13 +18,15 @@ from ilctools.threads import on_one_thread
 from rodlib.held import sampled_response
 from rodlib.rod import PAPER_ROD, Rod, labelled, midr
 
-BATCH = 100  # specimens that a worker takes at a time: some 0.1 s, long compared with the transfer
+BATCH = 100  # specimens per batch of a worker: some 0.1 s, long compared with the transfer
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A rod as it may be, and for each element the heat flow delivered per commanded heat flow.
+    """A rod that differs from the nominal rod, and the gains of its Peltier elements.
+
+    A gain is the delivered heat flow divided by the commanded heat flow.
 
     See Also
     --------
@@ -47,7 +49,10 @@ class Specimen:
         arguments.array("gains", self.gains, (self.rod.sections,))
 
     def model(self, Ts: float) -> control.StateSpace:
-        """Return the specimen behind a zero-order hold, by :func:`rodlib.midr` of degree 12."""
+        """Return a model of the specimen, sampled behind a zero-order hold.
+
+        The model is computed by :func:`rodlib.midr` with degree 12.
+        """
         model = midr(self.rod, degree=12)
         B = model.B * np.append(self.gains, 1)  # columns of the elements, and of the air
         return control.sample_system(labelled(self.rod, model.A, B, model.C), Ts, method="zoh")
@@ -57,8 +62,8 @@ class Specimen:
 class Spread:
     """How far the parameters of a rod may differ from their nominal values.
 
-    Each parameter deviates by itself, uniformly from -spread to +spread. A spread is relative, 0.2
-    for 20 %; the spread of the sensors is a length in metres.
+    Each parameter deviates independently, uniformly from -spread to +spread. A spread is relative,
+    0.2 for 20 %; the spread of the sensors is a length in metres.
 
     See Also
     --------
@@ -105,8 +110,8 @@ class Spread:
             parameters in the order above, then the gain of each Peltier element, then the position
             of each sensor.
         nominal : Rod
-            The nominal rod. Default: the paper's. A sensor beyond the end of the rod is a
-            ValueError of :class:`rodlib.Rod`.
+            The nominal rod. Default: the paper's rod. If a sensor is beyond the end of the rod,
+            :class:`rodlib.Rod` raises a ValueError.
         """
         arguments.instance("nominal", nominal, Rod)
         deviations = arguments.array("deviations", deviations, (_count(nominal),))
@@ -130,7 +135,7 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER_ROD) -
     spread : Spread
     number, root : int
         Number of the rod, and number of the sequence to which the rod belongs, 0 or more. With
-        another spread, the deviations of the rod are stretched.
+        another spread, the same number gives the same deviations relative to this spread.
     nominal : Rod
         As for :meth:`Spread.specimen`.
 
@@ -156,7 +161,7 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER_ROD) -
 def responses(
     loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega, executor: Executor | None = None
 ) -> np.ndarray:
-    """Compute P of (31) around each specimen, as plants for ``synthesise([...])``.
+    """Compute P of (31) of the paper around each specimen, as plants for ``synthesise([...])``.
 
     The method is :meth:`CurrentTrialLoop.frequency_response`, with the
     :func:`rodlib.sampled_response` of each specimen.
@@ -176,8 +181,9 @@ def responses(
     Returns
     -------
     ndarray, shape (specimens, n, m, m), complex
-        The responses, which are meaningful if the loop around the specimen is stable, which is not
-        checked. For an unstable loop, ``loop.around(specimen.model(loop.Ts))`` is a ValueError.
+        The responses. A response is meaningful only if the loop around the specimen is stable. This
+        is not checked here. If the loop is unstable, ``loop.around(specimen.model(loop.Ts))``
+        raises a ValueError.
 
     See Also
     --------
@@ -211,7 +217,7 @@ def responses(
 
 @on_one_thread
 def _responses(loop, omega, specimens):
-    """P around each specimen of a batch."""
+    """Compute P around each specimen of a batch."""
     columns = [specimens[0].rod.inputs.index(name) for name in loop.controls]
     plants = [
         sampled_response(specimen.rod, omega, loop.Ts)[:, :, columns]
@@ -222,7 +228,7 @@ def _responses(loop, omega, specimens):
 
 
 def _count(rod):
-    """Number of parameters that may deviate."""
+    """Count the parameters of a rod that may deviate."""
     return len(MATERIAL) + rod.sections + len(rod.sensors)
 
 

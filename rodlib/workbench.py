@@ -77,7 +77,7 @@ def try_out(
 
 
 def open_workbench(loop, reference, disturbance=None, **choices):
-    """Show sliders for the choices of :func:`try_out`, with the picture and the certificate below.
+    """Show sliders for the choices of :func:`try_out`, above the picture and the certificate.
 
     If there is no filter, the reason is shown instead of picture and certificate.
 
@@ -133,7 +133,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
 
 
 def _knobs(start, most_noise):
-    """A slider for each choice, at its initial value; a slider acts when it is released."""
+    """Make a slider for each choice, at its initial value; a slider acts when it is released."""
     from ipywidgets import Dropdown, FloatSlider, IntSlider
 
     gain, cutoff = start["L_max"], start["cutoff"]
@@ -155,7 +155,7 @@ def _knobs(start, most_noise):
 
 @style.context(["rodlib.paper.style", LOOK])
 def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
-    """Draw a first overview of a design of (39), with trials of its law.
+    """Draw a first overview of a design of (39) of the paper, with trials of its law.
 
     Parameters
     ----------
@@ -204,12 +204,12 @@ def plot(design: Synthesis, trials: xr.Dataset) -> Figure:
 
 
 def _draw_coefficients(axes, coefficients):
-    """A line for each entry of the filter that is not zero."""
+    """Draw a line for each entry of the filter that is not zero."""
     order = coefficients.shape[-1]
     for i, j in np.argwhere(coefficients.any(axis=-1)):
         look, label = "o-" if i == j else "x:", f"$L_{{{i + 1}{j + 1}}}$"
         axes.plot(np.arange(1, order + 1), coefficients[i, j], look, markersize=4, label=label)
-    # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
-    # would choose the pixel.
+    # The limits are not at halves. With ten coefficients, a marker would then fall between two
+    # pixels, and rounding would choose the pixel.
     axes.set(title="coefficients of $L$", xlabel="samples ahead", xlim=(0.4, order + 0.6))
     axes.legend(fontsize=8)

@@ -63,10 +63,10 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
     The files have the same bytes in every run. The PDF is written only if the PNG differs from the
-    one in figures/, or if the PDF there is damaged, because a PDF takes as long as all else. As the
-    last expression of a cell, the returned object shows the figure. The name begins with the
-    paper's figure, as in "fig04-frequency-response". The caption says what the figure shows, in one
-    or two sentences of plain text that can be read alone.
+    one in figures/, or if the PDF there is damaged, because writing a PDF takes as long as
+    everything else. As the last expression of a cell, the returned object shows the figure. The
+    name begins with the paper's figure, as in "fig04-frequency-response". The caption says what the
+    figure shows, in one or two sentences of plain text that can be read alone.
     """
     width = round(figure.get_figwidth() * figure.get_dpi())
     figure.set_dpi(PIXELS_PER_INCH)

@@ -193,8 +193,8 @@ def differing_first(rows: pd.DataFrame) -> pd.DataFrame:
 def join(parts: Path) -> pd.DataFrame:
     """Join the rows of all notebooks, one CSV file each, in the order of the paper.
 
-    Each claim has one row. A claim with two rows is a ValueError, and a claim without a row is a
-    KeyError. Both errors name the claim.
+    Each claim has one row. A claim with two rows raises a ValueError, and a claim without a row
+    raises a KeyError. Both errors name the claim.
     """
     rows = pd.concat([*map(read, sorted(parts.glob("*.csv")))], verify_integrity=True)
     return rows.loc[list(published.claims())]

@@ -50,7 +50,7 @@ def decimals(printed: str) -> int | None:
 
 
 def half_unit(printed: str) -> float:
-    """Return half a unit of the last printed digit; rounding for fractions, powers and pi."""
+    """Return half a unit of the last printed digit, or rounding for fractions, powers and pi."""
     places = decimals(printed)
     return 1e-12 * abs(value(printed)) if places is None else 0.5 * 10.0**-places
 
@@ -72,7 +72,7 @@ def keys(name: str) -> np.ndarray:
 
 
 def _arranged(name, table):
-    """The entries of a file's table, in the shape of the matrix."""
+    """Arrange the entries of a file's table in the shape of the matrix."""
     if name == "K_s":
         return table.T
     if name == "L_diagonal":
@@ -86,7 +86,7 @@ def _arranged(name, table):
 def claims() -> dict[str, Claim]:
     """Return all numbers and statements by key, in the order of the paper.
 
-    An entry of a matrix has a key like "N[1,2]": row and column as in its file, from one.
+    An entry of a matrix has a key like "N[1,2]": row and column as in its file, counted from one.
     """
     expanded = []
     for claim in (Claim(*row) for row in _table("claims").itertuples()):
@@ -95,10 +95,10 @@ def claims() -> dict[str, Claim]:
 
 
 def _entries(claim):
-    """The claims of a matrix, one for each entry."""
+    """Yield the claims of a matrix, one for each entry."""
     for (row, column), printed in _table(claim.key).stack().items():
         entry = f"[{row},{column}]"
-        # The observer's last two rows belong to the disturbance: no state coordinates.
+        # The observer's last two rows belong to the disturbance, in any coordinates of the state.
         kind = "printed" if claim.key == "K_L" and row in ("11", "12") else claim.kind
         name = {"key": claim.key + entry, "claim": claim.claim + entry}
         yield replace(claim, **name, printed=printed, kind=kind)

@@ -37,7 +37,7 @@ def execute(notebook: Path, executed: Path) -> None:
 
 
 def longest_first(root: Path) -> list[Path]:
-    """Return the notebooks, the last first: the long ones are among these and must start early."""
+    """Return the notebooks, the last one first: the long ones are among the last ones."""
     return sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
 
 

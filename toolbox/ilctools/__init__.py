@@ -1,6 +1,7 @@
 """Iterative learning control: learning filters with certificates, for any plant.
 
-A name is imported when it is first used. Code that needs only a part does not wait for the rest.
+Each public name is imported when it is first used. Code that needs only a part of the package
+therefore does not wait for the other parts.
 """
 
 from collections.abc import Sequence
@@ -36,10 +37,11 @@ MODULES = {
 
 
 def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
-    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package, from names and rooms.
+    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package that imports names late.
 
-    `modules` has the names by the module that defines them. Rooms are modules whose own names are
-    looked up in the room.
+    A name is imported when it is first used. `modules` maps each module to the public names that
+    the module defines. `rooms` lists modules that are public themselves, such as ``errors``. Names
+    in such a module are looked up there.
     """
     home = {
         name: f"{package}.{module}" for module, names in modules.items() for name in names.split()

@@ -16,10 +16,10 @@ from typing import get_args
 import control
 import numpy as np
 
-CIRCLE = 1 - 1e-9  # a pole of larger modulus counts as on the unit circle: no loop has moved it
-PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
+CIRCLE = 1 - 1e-9  # a pole of larger modulus counts as a pole on the unit circle
+PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # no control characters, which a terminal would obey
 TINIEST = 1e-130  # smallest numbers whose squares, and their sums, stay within doubles (1e-308)
-LATE = 1e-3  # relative to Ts or the Nyquist frequency: rounding of times and frequencies
+LATE = 1e-3  # tolerance for rounded times and frequencies, relative to Ts or Nyquist
 ROLES = {  # coordinates that name signals, and the name of all these signals in a log
     "output": "outputs",
     "control": "controls",
@@ -32,7 +32,10 @@ ROLES = {  # coordinates that name signals, and the name of all these signals in
 def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
-    """Check a finite number above `low`, below `high`, from `least` to `most`; `what` says so."""
+    """Check a finite number with ``low < value < high`` and ``least <= value <= most``.
+
+    The error message states this range by the words in `what`.
+    """
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
@@ -71,7 +74,7 @@ def flag(name: str, value) -> bool:
 
 
 def choice(name: str, value, options: Sequence[str]) -> str:
-    """Check that a value is one of a few words."""
+    """Check that a value is one of the words in `options`."""
     if not (isinstance(value, str) and value in options):
         words = " or ".join(repr(option) for option in options)
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {words}")
@@ -88,7 +91,7 @@ def instance(name: str, value, kind):
 
 
 def different(name: str, value) -> list[str]:
-    """Check a list of names, in which each name stands once."""
+    """Check a list of names, in which no name occurs twice."""
     listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
     if not (listed and all(isinstance(n, str) for n in value)) or len({*value}) < len(value):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a list of different names")
@@ -96,7 +99,7 @@ def different(name: str, value) -> list[str]:
 
 
 def by_name(name: str, value, names: Sequence[str]) -> dict:
-    """Check a dict whose keys are some of the signals `names`; None is an empty dict."""
+    """Check a dict whose keys are names of signals in `names`; None becomes an empty dict."""
     if not isinstance(value, dict | None):
         raise ValueError(
             f"{name} = {reprlib.repr(value)} must be a dict whose keys are names of signals"
@@ -111,7 +114,7 @@ def by_name(name: str, value, names: Sequence[str]) -> dict:
 
 
 def names_of(signals) -> list[str] | None:
-    """Return the names of a table's columns, or of a DataArray's channels; None without names."""
+    """Return the names of a table's columns, or of a DataArray's channels; None if unnamed."""
     if hasattr(signals, "columns"):
         labels = [*signals.columns]
     else:
@@ -122,7 +125,11 @@ def names_of(signals) -> list[str] | None:
 
 
 def in_columns(name, signal, shape, names):
-    """Return an array with a column per name, sorted by its own names; one needs no second axis."""
+    """Return a signal as an array with one column for each of `names`, in their order.
+
+    A signal that has names of its own is sorted by these names. A signal of a single channel may
+    lack the axis of channels.
+    """
     own, signal = names_of(signal), array(name, signal, (...,))
     if own is not None:
         signal = signal[..., _order(name, own, names)]
@@ -138,7 +145,7 @@ def by_channel(name, value, names):
 
 
 def _order(name, own, names):
-    """Return the position of each channel among an array's own names."""
+    """Return the position of each of `names` among the names `own` of an array."""
     if sorted(own) != sorted(names):
         raise ValueError(
             f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
@@ -168,7 +175,7 @@ def check_times(name: str, times, Ts: float) -> None:
 
 
 def each_trial(name, signal, trials, samples, names, Ts):
-    """Return a signal, common to all trials or one per trial, with the trial as first axis."""
+    """Return a signal with the trial as first axis; a signal common to all trials is repeated."""
     times = getattr(signal, "index", getattr(signal, "time", None))  # of pandas, of xarray
     if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
         check_times(name, times, Ts)
@@ -244,10 +251,10 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
 
 
 def _check_shape(name, sizes, shape):
-    """Refuse an array of another shape."""
+    """Refuse an array whose shape `sizes` does not fit the wanted `shape`."""
     wanted = [size for size in shape if size is not Ellipsis]
     has = sizes[len(sizes) - len(wanted) :] if wanted != [*shape] else sizes
-    named = dict(zip(wanted, has, strict=False))  # if sizes share a name: the last one
+    named = dict(zip(wanted, has, strict=False))  # if two sizes have one name, the last size counts
     expected = [max(1, named.get(size, 1)) if isinstance(size, str) else size for size in wanted]
     if [*has] == expected:
         return

@@ -8,27 +8,30 @@ zeros ring. In each direction in which P has the singular value sigma,
 
     sigma(B) = sigma / (sigma^2 + b^2) <= 1 / (2 b),    1 - P B = b^2 / (sigma^2 + b^2) < 1.
 
-Therefore b = 1 / (2 L_max) keeps the bound on L = B for every plant, and Q (I - P B) is below one.
-Where the gain of P is above b, P B is nearly the identity. A short K, designed for P B in place of
-P, does the rest. M = Q (I - P B K) is affine in K, as it is affine in L.
+If b = 1 / (2 L_max), then L = B meets the bound sigma_max(L) <= L_max for every plant, and
+sigma_max(Q (I - P B)) is below one. Where the gain of P is above b, P B is nearly the identity. A
+short K is then designed for P B in place of P. The iteration matrix M = Q (I - P B K) is affine in
+K, as it is affine in L.
 
-For several plants P_k, B is the law that minimises the mean of ||e - P_k change||^2:
+For p plants P_k, B is the law that minimises the mean of ||e - P_k change||^2, to which
+b^2 ||change||^2 is added:
 
     B = (mean P_k* P_k + b^2)^-1 mean P_k* = (P* P + b^2)^-1 P* E,
 
-P stands for the P_k one below the other, divided by sqrt(p). E stands for p identities one below
-the other, divided by sqrt(p), too. The bound on B holds for several plants as well, because the
-gain of E is one. P and E may be multiplied from the left by any matrix with orthonormal rows whose
-row space holds the columns of [C, D] of P. Therefore P needs no more outputs than it has states and
-inputs, and what the plants have in common is kept once, see :mod:`.pooled`.
+Here P stands for the P_k one below the other, divided by sqrt(p). E stands for p identities one
+below the other, also divided by sqrt(p). The bound on B holds for several plants as well, because
+the gain of E is one. P and E may be multiplied from the left by any matrix with orthonormal rows
+whose row space holds the columns of [C, D] of P. Therefore P needs no more outputs than it has
+states and inputs. States that the plants have in common are kept once, see :mod:`.pooled`.
 
-With the gain K of the linear-quadratic state feedback, and a constant R,
+In the following equation, K is the gain of the linear-quadratic state feedback, R is a constant
+matrix, and A and B in F are the matrices of the state equation of P:
 
     P* P + b^2 = F* F,    F = R^(1/2) (I + K (z I - A)^-1 B),    B = F^-1 (P F^-1)* E,
 
 where F^-1 and P F^-1 are the responses of u and of y to the reference of this closed loop. The
-poles of B are therefore the poles of the closed loop, inside the circle and mirrored at the circle,
-and no others.
+poles of the base are therefore the poles of this closed loop, which are inside the unit circle, and
+their mirror images at the circle. The base has no other poles.
 """
 
 from dataclasses import dataclass, replace
@@ -46,18 +49,19 @@ from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
-NEGLIGIBLE_IN_M = 1e-4  # change of sigma_max(M) up to which B is truncated
+NEGLIGIBLE_IN_M = 1e-4  # B is truncated if sigma_max(M) changes by less
 POINTS = 2**15  # of the transform that gives the coefficients of B
-FARTHEST_REACH = POINTS // 4  # largest number of samples that B reaches, each way
-EXACT_FACTORS = 1e-7  # relative error of the factors that is still rounding
+FARTHEST_REACH = POINTS // 4  # largest number of samples that B looks ahead or back
+EXACT_FACTORS = 1e-7  # a relative error of the factors up to this value is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class RegularisedInverse:
-    """B = (P* P + b^2)^-1 P* E of models, with the ends of a trial.
+    """The base B = (P* P + b^2)^-1 P* E of one or several models.
 
-    On a trial of N samples, B is (P_N^T P_N + b^2 I)^-1 P_N^T E. Here inputs are divided by `scale`
-    and outputs by `scale_y`. P is in these units, but B is not. Without E, there is one model.
+    On a trial of N samples, B is the matrix (P_N^T P_N + b^2 I)^-1 P_N^T E, where P_N maps inputs
+    of a trial to its outputs. P maps inputs divided by `scale` to outputs divided by `scale_y`. B
+    itself acts on signals in their own units. If E is None, P is a single model.
     """
 
     P: control.StateSpace
@@ -96,7 +100,7 @@ class RegularisedInverse:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Poles of B inside the unit circle: the poles of the loop that K closes."""
+        """Poles of B inside the unit circle: the poles of P with linear-quadratic feedback."""
         # with P / b, whose b is one: otherwise the units of y would decide which digits are lost
         P = self.P * (1 / self.b)
         (A, B, C), D = balanced(P), P.D
@@ -129,25 +133,28 @@ class RegularisedInverse:
         return self.scale / self.b * of_trial.apply(signal / self.scale_y @ self.E.T)
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
         return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale_y / self.b
 
 
 @lru_cache(maxsize=4)
 def _norm_optimal(base, samples):
-    """Norm-optimal law of P / b, whose weight is one, on trials of N samples, factored once."""
+    """Return the norm-optimal law of P / b with weight one, for trials of this length."""
     return NormOptimal(base.P * (1 / base.b), 1.0, samples)
 
 
 def quadratic_law(P, b) -> np.ndarray:
-    """Compute B, (n, m, p), from the responses of plants, (plants, n, p, m)."""
+    """Compute the response of B, (n, m, p), from responses of plants, (plants, n, p, m)."""
     E = isometry(len(P), P.shape[-2])
     return regularised_inverse(np.concatenate(P, axis=1) / np.sqrt(len(P)), b) @ E  # (B)
 
 
 def in_units(L, of_v, of_y):
-    """Convert an operator from outputs over `of_y` to inputs over `of_v` to their own units."""
+    """Convert a learning operator of scaled signals to an operator in the signals' own units.
+
+    The operator L maps outputs divided by `of_y` to inputs divided by `of_v`.
+    """
     if isinstance(L, Composition):
         # The signals between B and K have the units of the side of K, if their number is the same.
         (last, first), side = L.factors, of_y if L.K_first else of_v
@@ -159,7 +166,7 @@ def in_units(L, of_v, of_y):
 
 
 def extended(L, U, V):
-    """Compute V L U' from an operator L for U' P V, see :mod:`.response.directions`."""
+    """Compute V L U' for P, from an operator L for U' P V, see :mod:`.response.directions`."""
     if isinstance(L, Composition):
         last, first = L.factors
         one = np.eye(first.rows)
@@ -177,7 +184,7 @@ def _composed(L, last, first):
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
-    """Make B of models; None if B has too many states, or if rounding decides its poles."""
+    """Make B from models; None if B has more than `most` states, or rounding decides its poles."""
     try:
         for change in CHANGES:
             P, E = _of_all(models, b, structure, change)
@@ -192,7 +199,7 @@ def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | No
 
 
 def _of_all(models, b, structure, change) -> Pooled:
-    """Make P and E of all models; for a diagonal B, each channel by itself."""
+    """Make P and E from all models; if B is diagonal, each channel is treated by itself."""
     if structure != "diagonal":
         return pooled(models, b, change)
     channels = []
@@ -204,7 +211,7 @@ def _of_all(models, b, structure, change) -> Pooled:
 
 
 def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFilter:
-    """Make B of the first `count` plants as a finite filter."""
+    """Make B as a finite filter, from the frequency responses of the first `count` plants."""
     omega = np.linspace(0, np.pi / response.Ts, POINTS // 2 + 1)
     P = np.array([_faded(response, k, lowpass.cutoff, omega) for k in range(count)])
     if structure == "diagonal":
@@ -212,7 +219,7 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
     size = np.max([*map(largest_singular_values, P)], axis=0)
     counts = np.abs(lowpass.frequency_response(omega)) * size
     farthest = reach or FARTHEST_REACH
-    if response.models[0] is None:  # the distance of the lines limits the length of the response
+    if response.models[0] is None:  # the spacing of omega limits the length of B
         first = response.omega[response.omega > 0][0]
         farthest = min(farthest, 2 * np.pi / (first * response.Ts))
     coefficients, N = _shortened(quadratic_law(P, b), counts, int(min(farthest, FARTHEST_REACH)))
@@ -250,7 +257,7 @@ def coefficients_of(response) -> np.ndarray:
 
 
 def _faded(response, number, cutoff, omega):
-    """Compute a plant at any frequency; samples are faded out above the cut-off of Q."""
+    """Compute the response of a plant at omega; measured samples fade out above the cut-off."""
     if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
     last = response.omega[-1]

@@ -6,7 +6,7 @@ StoppedError is a RigError.
 
 from contextlib import contextmanager
 
-# errors that reading a note may lead to
+# errors that may occur while a note is read
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
 LONGEST_MESSAGE = 1000  # letters of a message
 
@@ -50,7 +50,7 @@ class SolverError(RuntimeError):
 
 
 class RigError(RuntimeError):
-    """A rig gave an invalid reading; nothing that follows from this reading was applied.
+    """A rig gave an invalid reading; no command that was computed from it was applied.
 
     The trials before the error are in `trials`.
     """
@@ -59,7 +59,7 @@ class RigError(RuntimeError):
 
 
 class StoppedError(RigError):
-    """A trial went beyond a stop limit."""
+    """A signal of a trial exceeded a stop limit, and the experiment was stopped."""
 
 
 class LogError(ValueError):
@@ -73,7 +73,7 @@ def shortened(message: str) -> str:
 
 @contextmanager
 def reading(key: str):
-    """Turn errors from reading a note that is not valid into a LogError."""
+    """Turn an error that occurs while the note `key` is read into a LogError."""
     try:
         yield
     except MISUNDERSTOOD as error:

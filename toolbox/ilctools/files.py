@@ -27,11 +27,11 @@ def folder(path: Path) -> Path:
 
 @contextmanager
 def alone(lock: Path, refusal: str) -> Iterator[None]:
-    """Refuse other processes until this one has finished or is dead.
+    """Hold the lock file `lock` in this block; raise `refusal` if another process holds it.
 
-    The lock file stays, but its lock ends with the process. A link or a pipe at the name of the
-    lock file is an error. Otherwise anybody who can write to the folder could decide what is
-    created or waited for.
+    The file stays afterwards, but its lock ends with the block or the process. A link or a pipe at
+    the name of the lock file is an error. Otherwise anybody who can write to the folder could
+    decide what is created or waited for.
     """
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
         raise FileExistsError(f"{lock} is not a regular file, or is a link: remove it")
@@ -58,9 +58,9 @@ def replacing(path: Path) -> Iterator[Path]:
     """Provide a temporary file next to `path`, which replaces `path` if no error occurs.
 
     The folder must exist. Links are followed, and permissions stay. A device or a pipe is refused,
-    because a replacement is not a write. No other writer has the name of the temporary file, and no
-    link can wait at this name. If the process is killed, a hidden file `.*.part` is left, which may
-    be removed.
+    because a new file in its place would not be a write to the device. The name of the temporary
+    file is random. Therefore no other writer uses this name, and nobody can place a link there. If
+    the process is killed, a hidden file `.*.part` is left, which may be removed.
     """
     path = regular(path)
     temporary = path.with_name(f".{uuid4().hex}.part")
@@ -89,7 +89,7 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
 
 
 def append(path: Path, pieces: Iterable[bytes]) -> None:
-    """Append to a file on the disk; after an error the file is as before."""
+    """Append to a file on the disk; if an error occurs, the file is restored."""
     size = path.stat().st_size
     try:
         _write(path, pieces, "ab")
@@ -99,7 +99,7 @@ def append(path: Path, pieces: Iterable[bytes]) -> None:
 
 
 def keep_others(path: Path, head: str) -> None:
-    """Refuse to overwrite a file of another kind, which is not empty and begins differently."""
+    """Refuse to overwrite a file that is not empty and does not begin with `head`."""
     if regular(path).exists():
         with open(path, "rb") as file:
             start = file.read(len(head.encode()))

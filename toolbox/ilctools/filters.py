@@ -1,14 +1,15 @@
-"""The two filters of the ILC law v_{k+1} = Q (v_k + L e_k), equation (23).
+"""The two filters of the ILC law v_{k+1} = Q (v_k + L e_k), equation (23) of the paper.
 
 Each filter has a frequency response and a method that applies it to a finite trial. Both filters
 look ahead in time. This is possible because they act between two trials, when the whole last trial
 is known.
 
 Beyond the two ends of a trial nothing has been recorded, so something must be assumed there.
-``ends="zero"`` takes every signal as zero outside the trial; the filters are then exactly the
-two-sided filters of the analysis, seen through the window of the trial. ``ends="hold"`` lets the
-first and the last sample stand still, ``ends="hold-last"`` only the last, which suits a trial that
-begins at rest and does not end at zero.
+``ends="zero"`` takes every signal as zero outside the trial. The filters are then exactly the
+two-sided filters of the analysis, and only the samples of the trial are kept of their output.
+``ends="hold"`` repeats the first sample before the trial and the last sample after the trial.
+``ends="hold-last"`` repeats only the last sample, which suits a trial that begins at rest and does
+not end at zero.
 """
 
 import warnings
@@ -22,37 +23,37 @@ from scipy.signal import BadCoefficients, butter, oaconvolve, sosfilt
 
 from ilctools import arguments, labels
 
-ENDS = {  # whether the first sample stands still before the trial, and the last one after it
+ENDS = {  # whether the first sample is repeated before the trial, and the last one after it
     "zero": (False, False),
     "hold": (True, True),
     "hold-last": (False, True),
 }
 # Inputs and outputs of the plant: L makes inputs from errors.
 AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")
-LONG = 100  # coefficients: for more, doubles and the fast convolution suffice, see `time_shifts`
+LONG = 100  # coefficients; above, doubles and fast convolution suffice, see `time_shifts`
 FARTHEST_TAP = 10**6  # largest number of samples that a filter may look ahead or back
-HIGHEST_ORDER = 20  # of Q: a higher number is a cut-off in the place of the order
+HIGHEST_ORDER = 20  # of Q: a higher number is probably a cut-off, passed as the order
 LONGEST_RESPONSE = 10**7  # longest response of Q each way, samples
 ANYWHERE = 1.0  # rad per sample: a frequency at which only the shape of a response is checked
-WEIGHT_OF_CHANGE = 1e-2  # weight of ||v||^2 beside ||P v||^2, for what the outputs hardly show
+WEIGHT_OF_CHANGE = 1e-2  # of ||v||^2 beside ||P v||^2, for changes that outputs hardly show
 
 
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
-    """A low-pass filter Q without lag: a Butterworth filter, forward and backward in time.
+    """A low-pass filter Q without phase lag: a Butterworth filter, forward and backward in time.
 
-    Q is |H|^2 of the Butterworth filter H, (43) of the paper. Scipy's and MATLAB's ``filtfilt``
-    filter in the same way: F. Gustafsson, Determining the initial states in forward-backward
-    filtering, IEEE Transactions on Signal Processing 44 (1996) 988-992. Here `ends` says what is
-    beyond the trial.
+    The response of Q is |H|^2, where H is the response of the Butterworth filter, equation (43) of
+    the paper. Scipy's and MATLAB's ``filtfilt`` filter in the same way: F. Gustafsson, Determining
+    the initial states in forward-backward filtering, IEEE Transactions on Signal Processing 44
+    (1996) 988-992. Unlike ``filtfilt``, this filter continues a signal beyond the trial by `ends`.
 
     Attributes
     ----------
     order : int
         Order of the Butterworth filter, 20 at most; the zero-phase filter has twice that order.
     cutoff : float
-        Cut-off frequency, rad/s. There the gain of the Butterworth filter is -3 dB. The Q-filter,
-        which squares this gain, has -6 dB.
+        Cut-off frequency, rad/s. At this frequency, the gain of the Butterworth filter is -3 dB.
+        The gain of Q is the square of this gain, -6 dB.
     Ts : float
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
@@ -97,7 +98,7 @@ class ZeroPhaseButterworth:
             )
 
     def _realised(self):
-        """Whether the rounded coefficients give the gains 1 and 1/2, and the response decays."""
+        """Whether the gain is 1 at zero and 1/2 at the cut-off, and the response decays."""
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
             try:
@@ -135,12 +136,12 @@ class ZeroPhaseButterworth:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
-        reach = self.decay  # after so many samples the line is as good as infinite
+        reach = self.decay  # so many more samples on each side are as good as infinitely many
         line = _continued(signal, reach, reach, self.ends)
         return self._both_ways(line)[..., reach:-reach, :]
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         reach = self.decay
         line = _continued(signal, 2 * reach, 2 * reach, "zero")
@@ -148,7 +149,7 @@ class ZeroPhaseButterworth:
         return _folded(wide, reach, signal.shape[-2], self.ends)
 
     def _both_ways(self, line):
-        """Filter a signal (..., time, channel) forward and backward, at rest at its ends."""
+        """Filter a signal (..., time, channel) forward and backward, each time from rest."""
         for _ in range(2):
             line = sosfilt(self.sections, line, axis=-2)[..., ::-1, :]
         return line
@@ -156,27 +157,29 @@ class ZeroPhaseButterworth:
 
 def _continued(signal, before, after, ends):
     """Extend a signal (..., time, channel) by some samples before and after the trial."""
-    first, last = ENDS[ends]  # a fifth of the time of numpy.pad, which counts in long iterations
+    first, last = ENDS[ends]  # takes a fifth of the time of numpy.pad
     left = np.repeat(signal[..., :1, :] * first, before, axis=-2)
     right = np.repeat(signal[..., -1:, :] * last, after, axis=-2)
     return np.concatenate([left, signal, right], axis=-2)
 
 
 def _folded(line, before, samples, ends):
-    """Apply the transpose of `_continued`: what lies beyond a held end adds to its sample."""
+    """Apply the transpose of `_continued`: samples beyond a held end add to the end's sample."""
     inside, (first, last) = line[..., before : before + samples, :].copy(), ENDS[ends]
     inside[..., 0, :] += first * line[..., :before, :].sum(axis=-2)
     inside[..., -1, :] += last * line[..., before + samples :, :].sum(axis=-2)
     return inside
 
 
-# as one says with scipy: butter(order, cutoff)
+# a second name, as in scipy: butter(order, cutoff)
 zero_phase_butterworth = ZeroPhaseButterworth
 
 
 @runtime_checkable
 class LearningOperator(Protocol):
-    """The contract of L in the law (23): a linear map from the errors of a trial to changes of v.
+    """The contract of L in the law v_{k+1} = Q (v_k + L e_k), equation (23) of the paper.
+
+    L is a linear map from the errors of a trial to changes of v.
 
     Any object that keeps this contract can be used as L in :class:`ilctools.Law` and
     :func:`ilctools.convergence`. Examples are :class:`LearningFilter` and
@@ -222,11 +225,11 @@ class LearningOperator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearningFilter:
-    """A learning filter L: a finite impulse response that may look ahead, as between two trials.
+    """A learning filter L of finite impulse response, which may look ahead in the recorded error.
 
-    L(q) e(p) = sum_k C_k e(p + k), (42) and (44) of the paper. See also D. A. Bristow, M. Tharayil
-    and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26
-    (2006) 96-114.
+    L(q) e(p) = sum_k C_k e(p + k), equations (42) and (44) of the paper. See also D. A. Bristow, M.
+    Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems
+    Magazine 26 (2006) 96-114.
 
     Attributes
     ----------
@@ -237,8 +240,8 @@ class LearningFilter:
     ends : {"zero", "hold", "hold-last"}
         What the error is taken to be beyond the ends of the trial.
     first : int
-        The lowest k. In (44) the lowest k is 1, and the filter only looks ahead. If `first` is
-        below zero, the filter looks back, too.
+        The lowest k. In equation (44) the lowest k is 1, and the filter only looks ahead. If
+        `first` is below zero, the filter looks back, too.
 
     See Also
     --------
@@ -282,7 +285,7 @@ class LearningFilter:
 
     @property
     def order(self) -> int:
-        """Number of coefficients, which is the number of samples that (44) looks ahead."""
+        """Number of coefficients; the filter (44) of the paper looks ahead by so many samples."""
         return self.coefficients.shape[2]
 
     @property
@@ -296,7 +299,11 @@ class LearningFilter:
         return np.zeros(max(abs(self.first), abs(self.last)))
 
     def __matmul__(self, K: "LearningOperator") -> "Filter":
-        """Compose the filter B K, with the ends of K; if the other factor is a base B, K B."""
+        """Compose this filter with a filter K: the product, with the ends of K.
+
+        If the right factor is a base B instead, the result is the composition K B, in which this
+        filter is K.
+        """
         if not isinstance(K, LearningFilter):
             return Composition(K, self, K_first=False)
         products = oaconvolve(self.coefficients[:, :, None], K.coefficients[None], axes=-1)
@@ -320,9 +327,9 @@ class LearningFilter:
         signal = arguments.array("signal", signal, (..., "time", self.columns))
         before = max(0, -self.first)
         line = _continued(signal, before, max(0, self.last), self.ends)
-        start = before + self.first  # of the line, for the first sample of the trial
+        start = before + self.first  # where the window of the first sample begins
         if self.order <= LONG:
-            # a window of samples, channels side by side, is one piece of the line: no copies
+            # with channels side by side, a window is one piece of the line, without copies
             p, line = self.columns, line.reshape(*line.shape[:-2], -1)
             windows = sliding_window_view(line, p * self.order, axis=-1)[..., ::p, :]
             result = windows @ self.coefficients.T.reshape(-1, self.rows)
@@ -333,7 +340,7 @@ class LearningFilter:
         return result[..., start : start + signal.shape[-2], :]
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
         signal = arguments.array("signal", signal, (..., "time", self.rows))
         flipped = self.coefficients.swapaxes(0, 1)[..., ::-1]
         mirrored = LearningFilter(flipped, self.Ts, "zero", -self.last)
@@ -344,7 +351,7 @@ class LearningFilter:
 
 @dataclass(frozen=True)
 class Composition:
-    """L = B K, where K filters the error within the trial and B acts on the result; or L = K B.
+    """The product L = B K: K filters the error, and B acts on the result. It may also be L = K B.
 
     ``B @ K`` or ``K @ B`` make a composition. If B is a LearningFilter itself, B K is a
     LearningFilter, too.
@@ -407,24 +414,25 @@ class Composition:
         return last.apply(first.apply(signal))
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
         last, first = self.factors
         return first.apply_transposed(last.apply_transposed(signal))
 
 
-Filter = LearningFilter | Composition  # has a transpose, and can be noted as JSON
+Filter = LearningFilter | Composition  # operators that can be written as JSON
 
 
 def time_shifts(angles, order) -> np.ndarray:
     """Compute z, z^2, ..., z^order for z = exp(j angles), in long doubles, (n, order)."""
-    # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
-    # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
+    # At low frequencies these powers are nearly linearly dependent. Without the bound (46) of the
+    # paper, a learning filter has coefficients of 1e9 that nearly cancel. Doubles would then leave
+    # seven digits of its gain.
     z = np.exp(1j * np.asarray(angles, dtype=np.longdouble))
     return np.cumprod(np.repeat(z[:, None], order, axis=1), axis=1)
 
 
 def check_learning(L: LearningOperator, name: str = "L", rows=None, columns=None) -> None:
-    """Check that L has the rows and columns that it states, and as many as the plant needs."""
+    """Check that the response of L has the stated rows and columns, and those the plant needs."""
     arguments.instance(name, L, LearningOperator)
     asked = (rows or L.rows, columns or L.columns)
     if (L.rows, L.columns) != asked:

@@ -1,4 +1,4 @@
-"""Findings against a design: a code with numbers; all their words are in this module."""
+"""Findings of the checks of a design. A finding is a code with numbers; FINDINGS has the texts."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -69,7 +69,7 @@ FINDINGS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """A value beyond its limit; `code` is a key of FINDINGS."""
+    """A checked value that exceeds its limit; `code` is a key of FINDINGS."""
 
     code: str
     value: float

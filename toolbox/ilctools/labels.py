@@ -34,7 +34,7 @@ def is_labelled(value) -> bool:
 
 
 def with_axes(name: str, value, axes):
-    """Return a labelled array with its axes in order; return anything else unchanged."""
+    """Return a labelled array with its axes in the order of `axes`; other values are unchanged."""
     if not is_labelled(value):
         return value
     array = xr.DataArray(value)
@@ -51,10 +51,10 @@ def with_axes(name: str, value, axes):
 
 
 def on(name: str, value, omega, axes=(FREQUENCY,)):
-    """Return an array with its axes in order, and its frequencies, which must be omega.
+    """Return an array with its axes in the order of `axes`, and its frequencies.
 
-    If the array has no frequencies, omega is returned, which may be None. If omega is None, the
-    array may have any frequencies.
+    An array whose frequencies differ from omega is refused. If omega is None, any frequencies are
+    accepted. If the array has no frequencies, omega itself is returned, which may be None.
     """
     array = with_axes(name, value, axes)
     if not is_labelled(array) or FREQUENCY not in array.coords:
@@ -73,7 +73,7 @@ def on(name: str, value, omega, axes=(FREQUENCY,)):
 
 
 def in_radians(name: str, omega) -> np.ndarray:
-    """Check frequencies; refuse frequencies whose unit is Hz."""
+    """Check frequencies in rad/s; refuse frequencies whose unit is Hz."""
     if "Hz" in (unit := str(getattr(omega, "attrs", {}).get("units"))):
         raise ValueError(
             f"{name} is in {unit!r}, but must be in rad/s: convert it, and correct its "
@@ -83,7 +83,7 @@ def in_radians(name: str, omega) -> np.ndarray:
 
 
 def table_of(name: str, P, omega):
-    """Convert a labelled P to python-control's response data; frequencies are as in `on`."""
+    """Convert a labelled P to python-control's response data; check frequencies as in `on`."""
     array, omega = on(name, P, omega, (FREQUENCY, OUTPUT, INPUT))
     if not is_labelled(array) or omega is None:
         return array, omega
@@ -97,7 +97,7 @@ def table_of(name: str, P, omega):
 
 
 def _channels(name, array, axis):
-    """Return the names of the channels along an axis; None if there are none."""
+    """Return the names of the channels along an axis; None if the channels have no names."""
     if axis not in array.coords:
         return None
     return arguments.different(f"{name}.{axis}", [str(label) for label in array[axis].values])

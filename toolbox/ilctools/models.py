@@ -1,8 +1,8 @@
-"""State-space models: their response, and the states that inputs reach and outputs show.
+"""State-space models: their response, and their reachable and observable part.
 
-Section III of the paper, before (12), reduces a model to the states that controls reach and outputs
-show. A second part of the module turns any plant, such as a transfer function, into a state-space
-model in discrete time.
+Before equation (12), Section III of the paper reduces a model to the states that controls reach and
+that outputs show. A second part of the module turns any plant, such as a transfer function, into a
+state-space model in discrete time.
 """
 
 import copyreg
@@ -21,10 +21,10 @@ from scipy.linalg.blas import dgemv
 
 from ilctools import arguments
 
-# Relative: a mode below it is not reached, and responses that differ by less are the same.
+# Relative tolerance: below this value, a mode counts as unreachable, and two responses as equal.
 SILENT = 1e-9
 
-# Any: what an entry point realises, and what control.ss and control.sample_system give by type
+# Any: for transfer functions, which entry points realise, and for the results of python-control
 Model = control.StateSpace | Any
 
 
@@ -35,7 +35,7 @@ def _reduced(model):
     return make, (model.A, model.B, model.C, model.D, model.dt)
 
 
-copyreg.pickle(control.StateSpace, _reduced)  # its own attributes are lambdas
+copyreg.pickle(control.StateSpace, _reduced)  # its attributes include lambdas, which pickle refuses
 
 
 def frequency_response(system: Model, omega) -> np.ndarray:
@@ -75,7 +75,7 @@ def _response(system, points):
 
 
 def schur_form(system: Model):
-    """Transform A of a model to triangular T = Z* A Z, poles on the diagonal: T, B, C, D."""
+    """Return T, B, C, D of a model in the basis Z in which T = Z* A Z is triangular."""
     A, B, C = balanced(system)
     T, Z = schur(A, output="complex")
     return T, Z.conj().T @ B, C @ Z, system.D
@@ -112,7 +112,7 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     A = arguments.array("A", A, (len(x), len(x)))
     forcing = arguments.array("forcing", forcing, ("time", len(x)))
     # Sample by sample: powers of A would need fewer steps, but their rounding grows with the size
-    # of A, and a companion matrix is large. Trials of a stage at 2 kHz then erred by thousands.
+    # of A, and a companion matrix is large. Powers gave errors of thousands for a stage at 2 kHz.
     x, A = np.vstack([x, forcing[:-1]]), np.asfortranarray(A)
     if len(A):
         for before, now in pairwise(x):
@@ -132,16 +132,17 @@ def from_rest(model: control.StateSpace, w) -> np.ndarray:
 
 
 def on_trial(samples: int, of_x, of_d, delay: int = 0) -> sparse.csc_array:
-    """Make the matrix of signals of_x x(p - delay) + of_d d(p - delay), p = 0, ..., samples - 1.
+    """Make the matrix that maps the states x and the inputs d of a trial to a signal.
 
-    The columns of the matrix belong to the states x in all samples, and then to the inputs d.
+    The signal is of_x x(p - delay) + of_d d(p - delay) in the samples p = 0, ..., samples - 1. The
+    columns of the matrix belong to the states x in all samples, and then to the inputs d.
     """
     time = sparse.eye_array(samples, k=-delay)
     return sparse.hstack([sparse.kron(time, part, "csc") for part in (of_x, of_d)], "csc")
 
 
 def dynamics_on_trial(samples: int, A, B) -> sparse.csc_array:
-    """Make the matrix of x(p) - A x(p - 1) - B d(p - 1), which is zero on a trial from rest."""
+    """Make the matrix that computes x(p) - A x(p - 1) - B d(p - 1), zero in a trial from rest."""
     return on_trial(samples, np.eye(len(A)), np.zeros_like(B)) - on_trial(samples, A, B, delay=1)
 
 
@@ -179,9 +180,9 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     """Restrict a plant to the states that its controls reach and its outputs show.
 
     The state is expressed in an orthonormal basis of the reachable subspace, and then of the
-    observable part of this subspace. The order matters, because the observer's weight
-    Q_o = diag(I, 2I) is not invariant. With the order used here, the gains are the gains that the
-    paper prints.
+    observable part of this subspace. The order matters, because the observer's weight Q_o = diag(I,
+    2I) is not invariant under a change of basis. With the order used here, the gains are the gains
+    that the paper prints.
 
     Parameters
     ----------
@@ -250,7 +251,10 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
 
 
 def model_and_response(name: str, plant, omega, Ts: float):
-    """Return a plant as a model, or None, and its response on omega; an array stays an array."""
+    """Return the state-space model of a plant, and the response of the plant at `omega`.
+
+    If the plant is a measured response, the model is None. An array is itself the response.
+    """
     refuse_foreign(name, plant)
     if not isinstance(plant, control.LTI):
         return None, plant
@@ -269,7 +273,7 @@ def model_and_response(name: str, plant, omega, Ts: float):
 
 
 def _samples_on(name, P, omega, nyquist):
-    """Return the samples of python-control's response data; their frequencies must be omega."""
+    """Return the samples of python-control's response data; refuse frequencies other than omega."""
     own = np.minimum(P.omega, nyquist)  # rounding may take the last one above Nyquist's
     if len(own) != len(omega) or not np.allclose(own, omega, rtol=1e-9, atol=0):
         raise ValueError(
@@ -332,11 +336,14 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def balanced(model, *further):
-    """Scale A, B, C and further rows of C, so that no entry of A is large merely by its unit."""
+    """Return A, B and C (with `further` rows) of a model whose states are scaled to like size.
+
+    No entry of A is then large merely because of the unit of a state.
+    """
     # The errors of a Schur form and of sparse factors are relative to the largest entry of A. If
     # one state is counted in units of 1e-8, the others lose eight digits.
     A, B, C = model.A, model.B, np.vstack([model.C, *further])
-    # with one row and column for inputs and outputs
+    # all inputs count as one more column, and all outputs as one more row
     inputs = np.abs(B).max(axis=1, keepdims=True)
     outputs = np.abs(C).max(axis=0, keepdims=True)
     size = np.block([[np.abs(A), inputs], [outputs, 0]])
@@ -348,7 +355,7 @@ def balanced(model, *further):
 
 
 def _realised(plant, name):
-    """Realise a transfer function: P = H R, a minimal H behind a shift register R of each input.
+    """Realise a transfer function as P = H R: a shift register R of each input, then a minimal H.
 
     The delay of an entry is the place where H taps the register. If delays that several entries
     share were states of H, rounding would decide which of these states are minimal.

@@ -1,4 +1,4 @@
-"""Norm-optimal learning, for the same law (23).
+"""Norm-optimal learning: an L for the law v_{k+1} = Q (v_k + L e_k), equation (23) of the paper.
 
 :class:`NormOptimal` is a :class:`ilctools.filters.LearningOperator`, like
 :class:`ilctools.LearningFilter`, and can be used wherever L is used.
@@ -27,8 +27,9 @@ class NormOptimal:
     Attributes
     ----------
     P : control.StateSpace
-        The plant in discrete time, stable, and at rest before a trial. With more outputs p than
-        inputs m, no other change of v leaves a smaller error, apart from the effect of the weight.
+        The plant in discrete time, stable, and at rest before a trial. If there are more outputs p
+        than inputs m, part of the error remains. Apart from the effect of the weight, no other
+        change of v leaves a smaller error.
     weight : float
         Weight of the change, above zero, in the square of the unit of y per unit of w.
     samples : int
@@ -46,13 +47,14 @@ class NormOptimal:
     -----
     The inverse is never formed. With the states of P, the change follows from one recursion
     backwards in time and one recursion forwards (:mod:`.riccati`). The gains of the recursions
-    change only near the end of the trial, so that memory is little more than the signals. Rounding
+    change only near the end of the trial. Therefore they need little more memory than the signals.
+    Rounding
     moves the change by at most 1e-16 times the condition number of the normal equations, which is
     (sigma_max(P)^2 + weight) / weight.
 
     Some transfer functions have modes that are slow compared with Ts and close to each other. The
     coefficients of such a transfer function determine a trial to few digits only. With three modes
-    of 3, 4 and 5 Hz at 1 kHz, the accuracy is a tenth. Use states instead, as in
+    of 3, 4 and 5 Hz at 1 kHz, the relative error is a tenth. Use states instead, as in
     ``control.sample_system(control.ss(plant), Ts)``.
 
     Examples
@@ -99,7 +101,7 @@ class NormOptimal:
         return 1.0 if self.errors is None else self.errors
 
     def __getstate__(self):
-        """All fields except the factors, which another process computes faster than it reads."""
+        """Return all fields without the factors, which are faster to compute than to read."""
         return {name: value for name, value in vars(self).items() if name != "_factors"}
 
     @property
@@ -134,16 +136,16 @@ class NormOptimal:
 
     @cached_property
     def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B and C of P in states of like size, so that no state dominates by its unit."""
+        """A, B and C of P, with states scaled so that no state dominates because of its unit."""
         return balanced(self.P)
 
     @cached_property
     def _factors(self) -> TrialLeastSquares:
-        """Factors of the least squares on a trial, for any error."""
+        """Factors of the least-squares problem on a trial; they serve any error."""
         return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples, self.errors)
 
     def apply(self, signal) -> np.ndarray:
-        """Compute the best change (..., samples, m) for an error of shape (..., samples, p)."""
+        """Compute the minimising change (..., samples, m) for an error (..., samples, p)."""
         shape = ..., self.samples, self.columns
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
         signal = signal * self.weight_of_errors
@@ -168,7 +170,7 @@ class NormOptimal:
 
 
 def regularised_inverse(P, b) -> np.ndarray:
-    """Compute (P* P + b^2 I)^-1 P* of responses P, (n, p, m), by factors, as P may be large."""
+    """Compute (P* P + b^2 I)^-1 P* of responses P, (n, p, m), by QR, without squaring P."""
     p, m = P.shape[1:]
     below = np.broadcast_to(b * np.eye(m), (len(P), m, m))
     Q, R = np.linalg.qr(np.concatenate([P, below], axis=1))

@@ -1,8 +1,9 @@
 """Several plants stacked into one model, in which common states are kept once.
 
-The plants P_k, each divided by sqrt(p), are driven by the same inputs. Copies of one plant that
-differ in gain alone have all states in common. Plants that are alike have most states in common.
-With the factors of the two Gramians of the stacked model,
+The base B = (P* P + b^2)^-1 P* E of :mod:`.base` needs this stacked model P, and the matrix E. The
+plants P_k, each divided by sqrt(p), are driven by the same inputs. Copies of one plant that differ
+in gain alone have all states in common. Similar plants have most states in common. With the factors
+of the two Gramians of the stacked model,
 
     X X^T = sum over k of A^k B B^T A^kT,    Y Y^T = sum over k of A^kT C^T C A^k,
 
@@ -18,9 +19,9 @@ The stacked P may be multiplied from the left by a matrix with orthonormal rows,
 the columns of [C, D]. The multiplication does not change P* P and P* E, which are all that B needs.
 P therefore keeps as many outputs as [C, D] has columns.
 
-If P has an error of d, then to first order B differs by at most 5 d / (4 b^2). M differs by at most
-this value times sigma_max(P). d is chosen for a small change of M. Afterwards P* P is compared with
-its mean over the plants.
+If P has an error of d, then to first order B differs by at most 5 d / (4 b^2). The iteration matrix
+M = Q (I - P L) differs by at most this value times sigma_max(P). d is chosen for a small change of
+M. Afterwards P* P of the stacked model is compared with the mean over the plants.
 """
 
 from typing import NamedTuple
@@ -35,8 +36,8 @@ from ilctools.singular_values import largest_singular_values
 GROUP = 8  # models joined at a time: for 200 models, 2 take 1.6 times as long, and 32 twice as long
 CHANGES = 1e-9, 1e-5  # change of M up to which states are left out. The second counts if too many
 # states remain, because a finite filter in place of B would change M by 1e-4.
-# Largest number of doublings of the terms of a Gramian: a pole within 1e-14 of the circle rings so
-# long.
+# Largest number of doublings of the terms of a Gramian. The response of a pole within 1e-14 of the
+# unit circle lasts so long.
 DOUBLINGS = 50
 ROUNDING_OF_GRAMIAN = 1e-17  # relative to a Gramian's factor: smaller terms are not added
 LEVELS_OF_GROUPS = 3  # levels of groups of GROUP, up to 512 models; each level adds its error
@@ -44,21 +45,22 @@ COMPARED_FREQUENCIES = 128  # number of frequencies at which P* P is compared, b
 
 
 class Pooled(NamedTuple):
-    """P and E of B = (P* P + b^2)^-1 P* E."""
+    """The stacked model P and the matrix E of the base B = (P* P + b^2)^-1 P* E."""
 
     P: control.StateSpace
     E: np.ndarray  # (outputs of P, outputs of each plant)
 
 
 def isometry(copies, size) -> np.ndarray:
-    """Make E: identities one below the other, divided by the root of their number."""
+    """Make E: `copies` identities one below the other, divided by the square root of `copies`."""
     return np.tile(np.eye(size), (copies, 1)) / np.sqrt(copies)
 
 
 def pooled(models, b, change) -> Pooled:
-    """Make P and E of several models, with as few states as change M by at most `change`.
+    """Make P and E from several models; leave out states as long as M changes by at most `change`.
 
-    If the comparison at many frequencies contradicts this, all states are kept.
+    P* P is then compared with its mean over the models at many frequencies. If the difference is
+    larger than expected, all states are kept.
     """
     count, (p, m) = len(models), models[0].shape
     if count == 1:
@@ -77,7 +79,7 @@ def pooled(models, b, change) -> Pooled:
 
 
 def _with_few_states(models, error) -> Pooled:
-    """Join models group by group; P then differs by at most LEVELS_OF_GROUPS times `error`."""
+    """Join models in groups; the error of P is at most `error` for each level of groups."""
     share = 1 / np.sqrt(len(models))
     groups = [Pooled(model * share, np.eye(model.noutputs) * share) for model in models]
     while len(groups) > 1:
@@ -93,7 +95,7 @@ def _square(P):
 
 
 def _joined(group, error) -> Pooled:
-    """Join pooled plants, with few states and outputs; P then differs by at most `error`."""
+    """Join pooled plants and reduce states and outputs; the error of P is at most `error`."""
     P = control.append(*(part.P for part in group))
     P *= np.tile(np.eye(group[0].P.ninputs), (len(group), 1))
     A, B, C = _truncated(*balanced(P), error)
@@ -104,7 +106,7 @@ def _joined(group, error) -> Pooled:
 
 
 def _truncated(A, B, C, error):
-    """Balance a model and leave out states; the response then differs by at most `error`."""
+    """Balance a model and leave out states; the error of the response is at most `error`."""
     X, Y = _gramian_factor(A, B), _gramian_factor(A.T, C.T)
     U, S, Vh = np.linalg.svd(Y.T @ X)
     lost = 2 * np.cumsum(S[::-1])[::-1]  # without this state and all smaller ones
@@ -115,7 +117,7 @@ def _truncated(A, B, C, error):
 
 
 def _gramian_factor(A, B):
-    """Compute X, (n, n or less), with X X^T = sum over k of A^k B B^T A^kT, by doubling."""
+    """Compute X with X X^T = sum over k of A^k B B^T A^kT, by doubling the number of terms."""
     X, power = B, A
     for _ in range(DOUBLINGS):
         further = power @ X

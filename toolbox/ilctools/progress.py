@@ -1,7 +1,7 @@
-"""Progress bars on stderr: in a terminal and, after a while, in a notebook, but in no other file.
+"""Progress bars on stderr: at once in a terminal, after a few seconds in a notebook.
 
-A notebook keeps what it shows, unless the variable TQDM_DISABLE is set. `make test` sets this
-variable.
+If stderr is a file, no bar is shown. A saved notebook keeps the bars that it has shown, unless the
+environment variable TQDM_DISABLE is set. `make test` sets this variable.
 """
 
 import os
@@ -11,11 +11,11 @@ from threading import Event, Thread
 
 from tqdm import tqdm
 
-PATIENCE = 5  # s, after which a user wonders
+PATIENCE = 5  # s, after which a user wonders whether the call still runs
 
 
 def progress(**options) -> tqdm:
-    """Make a progress bar."""
+    """Make a progress bar with the options of tqdm."""
     where = {"disable": None}  # unless it is a terminal
     if type(sys.stderr).__module__.startswith("ipykernel"):
         off = "TQDM_DISABLE" in os.environ
@@ -25,7 +25,7 @@ def progress(**options) -> tqdm:
 
 @contextmanager
 def watched(name: str):
-    """Show for how long the function of this name has been running."""
+    """Show for how long the function `name` has been running, once it takes some seconds."""
     ended = Event()
 
     def watch():

@@ -37,15 +37,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtbtrs
 
-# Relative change of S between one look and the next look, which is half as far again from the end.
-# S grows ever more slowly, and by far less afterwards if modes decay. Rounding moves S by 1e-14.
+# S counts as constant if its relative change from one check to the next is below this value. Each
+# check is half as far again from the end of the trial. S grows ever more slowly, and if modes
+# decay, far less is still to come. Rounding moves S by 1e-14.
 STATIONARY_S = 1e-13
-FIRST_LOOK = 8  # samples from the end of the trial to the first look
+FIRST_LOOK = 8  # samples from the end of the trial to the first check
 PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: the matrix fits the cache
 
 
 class Gains(NamedTuple):
-    """K, and T^-1 with R = T' T, for the last samples of a trial; the first serve all before."""
+    """The gains K, and T^-1 with R = T' T, for the last samples of a trial.
+
+    The first of these gains also hold for all earlier samples.
+    """
 
     K: np.ndarray  # (count, m, n)
     root: np.ndarray  # (count, m, m), T^-1
@@ -88,8 +92,8 @@ def _until_stationary(above, dynamics, samples) -> np.ndarray:
 def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
     """Compute T and T K, side by side, for `count` samples before the sample of U.
 
-    The U of the first of these samples is also returned. `above` has, for each sample, the rows of
-    (2) to (4) that do not come from U.
+    The U of the first of these samples is also returned. For each sample, `above` holds the first
+    two block rows of the matrix that is decomposed, which do not depend on U.
     """
     n, width = dynamics.shape
     m, height = width - n, above.shape[1]
@@ -105,7 +109,7 @@ def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TrialLeastSquares:
-    """The minimum of (1) for trials of N samples, factored once for any f and g."""
+    """The least-squares problem (1) for trials of N samples, factored once for any f and g."""
 
     def __init__(self, A, B, C, D, weight: float, samples: int, errors=None):
         self.A, self.B, self.samples = A, B, samples
@@ -156,7 +160,7 @@ class TrialLeastSquares:
 
 
 def _substituted(F, right, trans) -> np.ndarray:
-    """Solve x(p + 1) - F(p) x(p) = right(p + 1), or its transpose, for x, (trials, samples, n).
+    """Solve x(p + 1) - F(p) x(p) = right(p + 1), or its transpose, for x (trials, samples, n).
 
     The matrix of the whole piece is lower triangular, with ones on its diagonal.
     """
@@ -172,5 +176,5 @@ def _substituted(F, right, trans) -> np.ndarray:
 
 
 def _times(signal, matrices) -> np.ndarray:
-    """Compute signal(p)' M(p), for signals (trials, samples, k)."""
+    """Compute signal(p)' M(p) at each sample p, for signals (trials, samples, k)."""
     return np.einsum("tpk,pkl->tpl", signal, matrices)

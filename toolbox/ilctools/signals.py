@@ -43,7 +43,7 @@ class Signals:
     controls: list[str] | None = None
     units: dict[str, str] = field(default_factory=dict)
     labels: list[str] | None = None
-    learned: list[str] | None = None  # where v is not added to references one for one
+    learned: list[str] | None = None  # inputs that v drives, if v is not added to references
 
     @classmethod
     def of_log(cls, trials) -> "Signals":
@@ -68,7 +68,7 @@ class Signals:
 
 
 def period_of(trials) -> float:
-    """Return the sampling period of trials, s, which their times must not contradict."""
+    """Return the sampling period of trials, s; refuse times that contradict this period."""
     Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
     if "time" in trials.coords:
         arguments.check_times("trials", trials.time.values, Ts)
@@ -111,7 +111,7 @@ def dataset(
 
 
 def with_points(trials: xr.Dataset, points) -> xr.Dataset:
-    """Mark points of trials at which the error counts, (time, p), bool; None: everywhere.
+    """Mark the points (time, p) of trials at which the error counts; None stands for all points.
 
     The coordinate `asked` holds the points. At all other points, the error is set to zero.
     """
@@ -123,7 +123,7 @@ def with_points(trials: xr.Dataset, points) -> xr.Dataset:
 
 
 def points_of(trials: xr.Dataset) -> np.ndarray | None:
-    """Return the points of trials at which the error counts, (time, p); None: everywhere."""
+    """Return the points (time, p) of trials at which the error counts; None if all points count."""
     return trials[ASKED].values if ASKED in trials.coords else None
 
 
@@ -151,7 +151,7 @@ def check_match(**parties) -> None:
 
 
 def _parts(whose, party):
-    """Collect what is known of a party, by what is compared, as a value and in words."""
+    """Return the known properties of a party, each as a value and in words for an error."""
     outputs, learned = getattr(party, "outputs", None), getattr(party, "learned", None)
     labels = _labels_of(party)
     values = {

@@ -1,4 +1,4 @@
-"""The largest singular values of many matrices, and which of several values are largest."""
+"""Compute the largest singular values of many matrices, and find the largest of several values."""
 
 import numpy as np
 
@@ -6,12 +6,12 @@ TIED = 1e-6  # relative distance below which a solver's accuracy decides which v
 
 
 def tied(values):
-    """Mark the values that are largest, or so close to the largest that rounding decides."""
+    """Mark the largest values, and values whose distance to the largest may be rounding."""
     return values >= values.max(axis=0) * (1 - TIED)
 
 
 def largest_singular_values(G):
-    """Compute the largest singular value of each matrix, shape (n, p, m) to (n,)."""
+    """Compute the largest singular value of each of the n matrices in G, (n, p, m)."""
     if min(G.shape[1:]) > 2:
         return np.linalg.norm(G, 2, axis=(1, 2))
     # Below three by three, the Hermitian eigenvalue problem has a closed form: ten times faster.

@@ -13,12 +13,12 @@ from threadpoolctl import ThreadpoolController
 from ilctools.progress import watched
 
 pools = cache(ThreadpoolController)  # finding the pools takes milliseconds
-OF_A_THREAD = "openmp"  # the layer of a BLAS whose number of threads each calling thread has
+OF_A_THREAD = "openmp"  # with this layer, each calling thread has its own number of BLAS threads
 Function = TypeVar("Function", bound=Callable)  # with its signature, for editors
 
 
 class SharedLimit:
-    """A limit of one BLAS thread, for as long as any user in this process holds the limit.
+    """A limit of one BLAS thread, which lasts as long as any user in this process holds it.
 
     Most libraries have one number of threads for the whole process. Suppose that each user noted
     this number and restored it. A user that begins while another user is running would then note

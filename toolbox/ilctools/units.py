@@ -6,7 +6,7 @@ from ilctools import arguments
 
 
 def labels(value: Mapping[str, str] | None, signals: Sequence[str]) -> dict[str, str]:
-    """Return the unit of each signal, from a dict for some signals; "" if a unit is not known."""
+    """Return the unit of each signal, from a dict of some units; "" stands for an unknown unit."""
     units = dict.fromkeys(signals, "") | arguments.by_name("units", value, signals)
     for signal, label in units.items():
         arguments.instance(f"units[{signal!r}]", label, str)
@@ -14,7 +14,7 @@ def labels(value: Mapping[str, str] | None, signals: Sequence[str]) -> dict[str,
 
 
 def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
-    """Group channels by unit: channels of one unit can stand in one sum or figure."""
+    """Group channels by unit: channels of one unit can share a sum or a figure."""
     return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 

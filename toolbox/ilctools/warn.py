@@ -1,4 +1,4 @@
-"""Warnings at the line that called the toolbox, however deep inside the finding was made."""
+"""Warnings that name the line which called the toolbox, not a line inside the toolbox."""
 
 import sys
 import warnings

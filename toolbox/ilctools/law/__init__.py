@@ -1,1 +1,1 @@
-"""The law (23): one step from trial to trial, within what actuators follow, and its notes."""
+"""The ILC law, equation (23) of the paper, with limits of commands and outputs, and its files."""

@@ -1,7 +1,8 @@
 """How far an error of the model may move an output within a trial.
 
-Let Delta be a stable, linear and causal system with ||Delta(omega)|| <= r(omega). Let d be a signal
-of N samples, zero before and after. Then, at each sample t of the trial and in each output,
+Let Delta, the error of a model, be a stable, linear and causal system with
+||Delta(omega)|| <= r(omega). Let d be a signal of N samples, zero before and after. Then, at each
+sample t of the trial and in each output,
 
     |(Delta d)(t)| <= rho(d) = (1 / M) sum_j rt_j ||D_j||,                                      (1)
 
@@ -18,9 +19,10 @@ transform of the trapezoid is a difference of two Fejer kernels, which are posit
 has their sum, see docs/proofs.md. The sum costs a factor of (m + n) / (m - n), which is 1.033 for
 M = 32 N.
 
-Delta is causal, and therefore the values of d after t do not count at t:
+Delta is causal, and therefore the values of d after t do not count at t. The trial is divided into
+blocks. If b denotes the end of the block that contains t, or of any later block, then
 
-    rho(t) = least rho(d up to b), b at the end of the block of t, or of a later one,           (3)
+    rho(t) = least rho(d up to b) among these b,                                                (3)
 
 and rho(t) is zero before d begins.
 """
@@ -31,13 +33,13 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-PADDING = 32  # M / N: (1) is 1.033 times the integral of r ||D||; with 8, (1) is 1.17 times it
+PADDING = 32  # M / N: (1) is 1.033 times the integral of r ||D||; with 8, the factor is 1.17
 BLOCKS = 16  # blocks of a trial in (3); with 64, rho(t) is 2 to 3 % smaller, in four times the time
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorBound:
-    """The bound (1) for all model errors within a radius, on trials of `samples` samples."""
+    """The bound rho of (1) for all model errors within a radius, on trials of `samples` samples."""
 
     angles: np.ndarray  # omega Ts, (n,), increasing
     radius: np.ndarray  # r at the angles, (n,); linear between them, constant below and above
@@ -50,7 +52,7 @@ class ErrorBound:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """rt_j / M, (M // 2 + 1,); a weight counts twice if its frequency occurs twice."""
+        """Weights rt_j / M, (M // 2 + 1,), doubled if a frequency also stands for its negative."""
         M, N = self.padded, self.samples
         h = (N - 1) // 2
         n, m = N - 1 - h, M - N - h
@@ -58,7 +60,7 @@ class ErrorBound:
         def tau(k):
             return (np.maximum(0, m - np.abs(k)) + np.maximum(0, n - np.abs(k))) / (m - n)
 
-        # r is linear between the M points: its c_k are the points' coefficients, times sinc^2
+        # r is linear between the M points: its c_k are the coefficients of the points, times sinc^2
         c, k = np.fft.irfft(self._above_radius(), M), np.arange(M)
         folded = sum(tau(lag) * np.sinc(lag / M) ** 2 for lag in (k, k - M))
         rt = rfft(c * folded).real  # (2)
@@ -69,7 +71,7 @@ class ErrorBound:
         return twice * rt / M
 
     def _above_radius(self):
-        """Values at the M points whose connecting straight lines are nowhere below r."""
+        """Compute values at the M points such that lines between them are nowhere below r."""
         points = 2 * np.pi * np.arange(self.padded // 2 + 1) / self.padded
         r = np.interp(points, self.angles, self.radius)
         left = np.clip(np.searchsorted(points, self.angles) - 1, 0, len(points) - 2)

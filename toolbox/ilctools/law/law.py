@@ -1,4 +1,4 @@
-"""The ILC law (23): from a trial's signal and error to the next trial's signal."""
+"""The ILC law, equation (23) of the paper: it computes the next v from the v and e of a trial."""
 
 import reprlib
 from copy import copy
@@ -30,11 +30,11 @@ from ilctools.signals import Signals, check_match
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k); its parts are checked.
+    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k), made of parts that fit.
 
     The law computes the signal v of the next trial from the signal and the error e_k of trial k,
-    (23) of the paper; D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning
-    control, IEEE Control Systems Magazine 26 (2006) 96-114.
+    equation (23) of the paper. See D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
+    iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
     With a learning gain a below one, v changes only by the share a of this step:
     v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k). Learning is then slower, but noise in e is averaged.
@@ -52,17 +52,18 @@ class Law:
         Learning gain a, in (0, 1].
     limits : dict, optional
         Lowest and highest command, by the names of the loop's commands, in their units. The law
-        then projects v onto what can be applied. {} stands for no limits at all, also on a rig that
-        has limits. Default: :func:`ilctools.record` takes the limits of the rig, and elsewhere
-        there are none. The attribute is then :attr:`.LimitsOf.RIG`. If an actuator has a rate
-        limit, choose a reference that rises as slowly.
+        then takes the nearest v whose commands are within the limits. {} stands for no limits at
+        all, also on a rig that has limits. Default: :func:`ilctools.record` takes the limits of the
+        rig, and elsewhere there are none. The attribute is then :attr:`.LimitsOf.RIG`. If an
+        actuator has a rate limit, choose a reference that rises as slowly.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without a loop to their loop. They refuse a law for another loop.
     region : Response, optional
-        The plants of a design and their radius, with which trials are compared. If the region is a
-        single exact model and the loop has a P, trials are compared with the loop's P.
-        :meth:`.Synthesis.law` sets this attribute. Neither a file of the law nor a log stores it.
+        The plants of a design, with a radius: the largest error of each plant, by frequency. Trials
+        are compared with this region. If the region is a single exact model and the loop has a P,
+        trials are compared with the loop's P. :meth:`.Synthesis.law` sets this attribute. Neither a
+        file of the law nor a log stores it.
     labels : Signals, optional
         Names and units of the plant of a design. A loop with the same signals in another order is
         refused. Neither a file of the law nor a log stores them.
@@ -145,7 +146,7 @@ class Law:
 
     @property
     def outputs(self) -> list[str] | None:
-        """Names of the outputs whose errors the law takes; None if it is not bound to a loop."""
+        """Names of the outputs whose errors the law uses; None for a law without a loop."""
         return getattr(self.loop, "outputs", None)
 
     @property
@@ -170,11 +171,11 @@ class Law:
 
     @property
     def known_limits(self) -> dict[str, tuple[float, float]]:
-        """The limits that the law itself has, without the limits of a rig; {} for none."""
+        """The limits that the law itself has, without the limits of a rig; {} stands for none."""
         return {} if self.limits is LimitsOf.RIG else self.limits
 
     def on_rig(self, limits: dict[str, tuple[float, float]]) -> "Law":
-        """Return this law with the limits of a rig, where the law has no limits of its own.
+        """Return this law with a rig's limits for all commands that the law does not limit itself.
 
         A law whose limits are {} has no limits at all, whatever the limits of the rig are.
         """
@@ -184,7 +185,7 @@ class Law:
 
     @cached_property
     def actuators(self) -> Actuators | None:
-        """The actuators with the limits of this law; None without limits."""
+        """The actuators with the limits of this law; None if the law has no limits."""
         if not self.known_limits:
             return None
         if self.loop is None:
@@ -196,7 +197,7 @@ class Law:
         return Actuators.of(self.known_limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":
-        """Return this law, bound to a loop; a ValueError if the law is for another loop."""
+        """Return this law, bound to a loop; raise a ValueError if it is for another loop."""
         arguments.instance("loop", loop, Loop)
         if self.loop is None:
             return replace(self, loop=loop)
@@ -208,7 +209,10 @@ class Law:
         return self
 
     def first(self, samples: int, v=None) -> np.ndarray:
-        """Return the signal of the first trial, (samples, m): `v` or zero, and zero in the rest."""
+        """Return the signal of the first trial, (samples, m): the argument `v`, or zero.
+
+        The signal is zero in the last `rest` samples.
+        """
         rest = arguments.whole("rest", self.rest, 0, samples - 1)
         shape = samples, self.rows
         v = np.zeros(shape) if v is None else v
@@ -220,20 +224,21 @@ class Law:
         return v
 
     def next(self, v, e, u=None, applied=None, y=None, *, references=None, past=()) -> np.ndarray:
-        """Compute the signal of the next trial, v_{k+1} of (23).
+        """Compute the signal of the next trial, v_{k+1} of equation (23) of the paper.
 
         With limits of commands, let v* be the next v without limits. The law takes the v that
         minimises ||P (v - v*)||^2 + weight ||v - v*||^2 among all v whose commands are within the
         limits. P is the model of the loop, and the applied commands are the starting point. The
         weight is taken from L, and is 0.01 for a filter. With a :class:`ilctools.NormOptimal` and a
         Q near one, this is constrained norm-optimal learning, whose predicted error cannot rise.
-        Limits do not count in the rest, where v is zero. For a ClosedLoop without P, the commands
-        saturate.
+        Limits do not count in the last `rest` samples, where v is zero. If a ClosedLoop has no P,
+        the commands are clipped to the limits instead.
 
-        With limits of outputs, the change of v is shortened. Alternatively, another change is taken
-        that needs less room, see :mod:`.output_step`. If an output exceeded its limit, the law
-        takes a change after which all limits hold for sure. If there is no such change, the law
-        returns to the share of w, from rest, that would have kept the limit.
+        With limits of outputs, the change of v is shortened, or replaced by another change that
+        moves the outputs less towards their limits, see :mod:`.output_step`. If an output exceeded
+        its limit, the law takes a change after which all limits hold for sure. If there is no such
+        change, the law goes back to a share of the last w (v, or v plus the reference). With this
+        share, the last trial would have kept the limit.
 
         Parameters
         ----------
@@ -286,7 +291,10 @@ class Law:
         return arguments.labelled_as(labelled, following, names)
 
     def unlimited(self, v, e) -> np.ndarray:
-        """Compute v by (23), zero in the rest, without limits; arrays (..., time, channel)."""
+        """Compute the next v by the law without limits, zero in the last `rest` samples.
+
+        All arrays have the shape (..., time, channel).
+        """
         following = self._learned(v, e)
         following[..., v.shape[-2] - self.rest :, :] = 0
         return following
@@ -311,7 +319,7 @@ class Law:
         return self._keeping_outputs(target, v, applied, y, now, moved, past)
 
     def _keeping_outputs(self, target, v, applied, y, reference, moved, past):
-        """Keep limits of outputs: the second part of :meth:`within_limits`."""
+        """Keep the limits of outputs, as the second part of :meth:`within_limits`."""
         if self.loop is None:
             raise ValueError(
                 "limits of outputs need the loop of the law: bind the law first, "
@@ -335,14 +343,14 @@ class Law:
         return v + step.change - (moved if added else 0), step
 
     def _done(self, part):
-        """The signal that drove P in a trial, as far as it was applied, and the outputs."""
+        """Return the outputs of a trial, and the signal that drove P, as far as it was applied."""
         v, reference, y = (np.asarray(part[name], float) for name in ("v", "reference", "y"))
         u = self.loop.asked(part)
         v, _ = self.applied(v, u, part.get("applied"))
         return Done(v + reference if self.loop.one_for_one else v, y)
 
     def _back(self, v, reference, y, moved):
-        """v after a trial beyond a limit: the share of its w that would have kept the limit."""
+        """Compute v after a trial beyond a limit, from the share of w that would have kept it."""
         kept = self.output_limits
         if not self.loop.one_for_one and self.loop.references:
             name = kept.region.outputs[int(kept.beyond(y).argmax())]
@@ -358,14 +366,14 @@ class Law:
         return w - (reference + moved)
 
     def _learned(self, v, e):
-        """Compute v by (23) without rest and limits."""
+        """Compute the next v by equation (23) of the paper, without rest and limits."""
         a = self.gain
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
             learned = _finite(v + self.L.apply(e))
             return _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
 
     def _names(self, signal, known, count):
-        """Names of the channels of v or e; without a loop they cannot be matched with L."""
+        """Return the names of the channels of v or e; refuse names that no loop puts in order."""
         if known or count is None:
             return known
         labels = arguments.names_of(signal) or [""] * count
@@ -378,7 +386,7 @@ class Law:
         return labels
 
     def applied(self, v, u, applied=None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return v as far as it was applied, and the applied commands; u is what was asked for."""
+        """Return the part of v that was applied, and the applied commands; u was requested."""
         if self.actuators is None:
             return v, applied
         if u is None:
@@ -395,7 +403,7 @@ class Law:
 
 
 def _two_references(references, e, y, names):
-    """The references of the trial and of the next one; None if they are not known."""
+    """Return the references of the last trial and the next one; None if they are not known."""
     if references is None:
         return None if y is None else (e + y, e + y)
     if not isinstance(references, list | tuple) or len(references) != 2:
@@ -407,7 +415,7 @@ def _two_references(references, e, y, names):
 
 
 def _finite(signal):
-    """Return the signal; a ValueError if it overflowed, because actuators would get it."""
+    """Return a signal for actuators; raise a ValueError if the signal overflowed."""
     if not np.isfinite(signal).all():
         raise ValueError(
             f"v or e is too large, because the next v would exceed {np.finfo(float).max:.2g}: "

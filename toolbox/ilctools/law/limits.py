@@ -1,8 +1,8 @@
-"""Limits of the commands: what actuators make of them, and the law (23) projected onto them.
+"""Limits of commands: what actuators apply, and the projection of v onto the limits.
 
-Section III has no limits. A projection onto a convex set never increases the distance of two
-signals, measured in its own norm. A convergence rate in that norm therefore holds within the
-limits, too. If the ends of trials are neglected, this rate is the largest value of
+Section III of the paper has no limits of commands. A projection onto a convex set never increases
+the distance of two signals, measured in its own norm. A convergence rate in that norm therefore
+holds within the limits, too. If the ends of trials are neglected, this rate is the largest value of
 sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), where W = P^H P + weight I. Let d be the difference between
 v and the v to which learning converges. In each trial, the root of ||P d||^2 + weight ||d||^2 is
 multiplied by at most this rate.
@@ -29,7 +29,7 @@ UNLIMITED = (-np.inf, np.inf)
 
 
 class LimitsOf(Enum):
-    """Who states the limits of a law that has none of its own; the only value is the rig."""
+    """The source of limits for a law that states no limits; the only value is the rig."""
 
     RIG = "rig"  # the rig that the law runs on; without a rig there are no limits
 
@@ -59,7 +59,7 @@ def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tu
 
 @dataclass(frozen=True)
 class Actuators:
-    """What actuators make of the commands of a loop.
+    """The limits of the actuators of a loop, and the commands that they apply.
 
     The arrays have the shape (m,). An infinite entry stands for no limit.
     """
@@ -74,7 +74,10 @@ class Actuators:
 
     @property
     def width(self) -> np.ndarray:
-        """Highest less lowest command, to which rounding is relative; one if it is infinite."""
+        """Difference of the highest and the lowest command, or one if a limit is infinite.
+
+        A solver's rounding is measured relative to this difference.
+        """
         width = self.highest - self.lowest
         return np.where(np.isfinite(width), width, 1.0)
 
@@ -87,13 +90,13 @@ class Actuators:
         return np.clip(commands, self.lowest, self.highest)
 
     def room(self, commands) -> tuple[np.ndarray, np.ndarray]:
-        """By how much commands may change, down and up, with a margin for a solver's rounding."""
+        """Return how far commands may move down and up, less a margin for a solver's rounding."""
         margin = SOLVER_ROUNDING * self.width
         return self.lowest + margin - commands, self.highest - margin - commands
 
 
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:
-    """Say which share of the commands u, (..., control), actuators do not follow; "" for none."""
+    """Say in which share of the samples the commands u exceed limits; return "" if none do."""
     words = []
     for i, name in enumerate(controls):
         low, high = limits.get(name, UNLIMITED)
@@ -114,7 +117,7 @@ def check_solver(loop: Loop) -> None:
 
 
 def command_model(loop: Loop) -> control.StateSpace:
-    """Return the model from v to the commands, u = K x + N v; without P they are the inputs w."""
+    """Return the model from v to the commands, u = K x + N v; if P is unknown, u is the input w."""
     P = loop.P_v
     if P is None:
         m = len(loop.learned)
@@ -140,10 +143,10 @@ def commands_after(loop: Loop, applied, change, reference_change) -> np.ndarray:
 def projected(
     loop: Loop, actuators: Actuators, v, target, commands, norm: Norm, rest: int
 ) -> np.ndarray:
-    """Find the v nearest to `target` among all v whose commands can be applied, :mod:`.nearest`.
+    """Find the v nearest to `target` among all v whose commands are within the limits.
 
-    The array `commands` holds the commands that `target` asks for, (time, commands). Without P,
-    these commands saturate.
+    The array `commands` holds the commands that `target` asks for, (time, commands). The module
+    :mod:`.nearest` solves the program. If the loop has no P, the commands are clipped instead.
     """
     active, applicable = len(v) - rest, np.zeros_like(v)
     if loop.P_v is None:

@@ -1,12 +1,13 @@
 """The least change of a signal that brings commands and outputs within their limits.
 
-The change z is the solution of a quadratic program:
+P is the model (A, B, C, D) from the signal to the outputs. The change z solves a quadratic program:
 
     minimise    sum_p errors(p)' y(p)^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
     subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
                 low <= K x + N z <= high               for rows K, N of commands or of outputs
 
-The program has one stage for each sample. PIQP solves the program.
+The weights `errors` and `weight` are those of :class:`Norm`. v is zero in the rest, the last
+samples of a trial. The program has one stage for each sample. PIQP solves the program.
 """
 
 from collections.abc import Sequence
@@ -37,14 +38,14 @@ class Rows(NamedTuple):
 
 
 class Norm(NamedTuple):
-    """The cost of a change: sum errors y^2 + change sum z^2."""
+    """The cost of a change z that moves outputs by y: sum(errors y^2) + change sum(z^2)."""
 
     change: float
     errors: np.ndarray | float = 1.0  # (time, p)
 
     @classmethod
     def of(cls, L) -> "Norm":
-        """Take the norm from a learning operator L."""
+        """Make the norm from the weights that a learning operator L states."""
         return cls(L.weight_of_change, getattr(L, "weight_of_errors", 1.0))
 
     def size(self, y, z) -> float:
@@ -64,7 +65,7 @@ def nearest(
     limited: Sequence[Rows],
     unit: float,
 ) -> np.ndarray:
-    """Find the least change z within the limits, shape (active, m).
+    """Compute the change z of least cost that keeps the limits, shape (active, m).
 
     The solver's tolerances are absolute. Therefore z is computed in units of `unit`, the expected
     size of z. Limits of signals that z does not move are ignored.
@@ -74,7 +75,7 @@ def nearest(
         np.concatenate([getattr(rows, end).ravel() / unit for rows in limited])
         for end in ("low", "high")
     )
-    moved = np.diff(matrix.indptr) > 0  # rows that v moves; other commands may saturate
+    moved = np.diff(matrix.indptr) > 0  # rows that z moves; other commands may saturate
     bounded = moved & (np.isfinite(low) | np.isfinite(high))
 
     solver = piqp.SparseSolver()
@@ -93,7 +94,10 @@ def nearest(
 
 
 def _program(P, norm, samples, active, limited):
-    """The cost / weight, the dynamics, the limited rows, for all x, then all z before the rest."""
+    """Make the matrices of the program: cost divided by weight, dynamics, and limited rows.
+
+    The unknowns are the states x in all samples, and then the changes z in the first `active` ones.
+    """
     n, p, m = P.nstates, P.noutputs, P.ninputs
     A, B, C = balanced(P, *(rows.K for rows in limited))  # without it, feasible programs may fail
     moving = slice(samples * n + active * m)  # z is zero in the rest

@@ -31,14 +31,15 @@ from ilctools.signals import Signals, check_match
 # Formats of the file. For the second see `is_newer`. The third is for different numbers of inputs
 # and outputs. The fourth has limits of outputs.
 LAW_FORMATS = ("rodlib law 1", "rodlib law 2", "rodlib law 3", "rodlib law 4")
-# Defaults, which are not noted, in a file and in a log; step is the learning gain, actuators are
-# the limits. In a file, limits without a note are those of the rig; in a log there were none.
+# Defaults, which are not written to a file or a log. The key step is the learning gain, and
+# actuators are the limits. Without a note of limits, a law from a file takes the limits of the rig.
+# A log without such a note had no limits.
 OF_FILE = {"rest": 0, "step": 1.0, "actuators": LimitsOf.RIG, "outputs": None}
 OF_LOG = OF_FILE | {"actuators": {}}
 LAW_KEYS = ("Q", "L", *OF_LOG)
-BEGUN = "begun"  # key of the note that v of trial 1 was given
+BEGUN = "begun"  # key of the note that v of trial 1 was passed, or is not zero
 RESET = "reset"  # key of the note NO_RESET, that there was no reset between trials
-BETWEEN = "between"  # key of the note of what makes v if the reference changes, if not the law
+BETWEEN = "between"  # key of the note of what made v when the reference changed, instead of the law
 NO_RESET = "none: a trial starts where the last one ended"
 PARTS_OF_MODEL = (*"ABCD", "dt")  # matrices of a model, and its sampling period
 
@@ -57,7 +58,7 @@ def text_of(notes, indent: int | None = None) -> str:
 
 
 def _plain(part):
-    """Turn an array or a model into values that JSON can hold."""
+    """Convert an array or a model into values that JSON can hold."""
     if not isinstance(part, control.StateSpace):
         return part.tolist()
     values = {name: getattr(part, name) for name in PARTS_OF_MODEL}
@@ -65,7 +66,7 @@ def _plain(part):
 
 
 def model_from(note):
-    """Make a model again from its note by :func:`text_of`."""
+    """Make a model from the note that :func:`text_of` wrote."""
     if note is None:
         return None
     values = (note[name] for name in PARTS_OF_MODEL)
@@ -73,7 +74,7 @@ def model_from(note):
 
 
 def loop_note(loop: CurrentTrialLoop | ClosedLoop) -> str:
-    """Return a loop as JSON."""
+    """Return the fields of a loop as JSON text."""
     note = {part.name: getattr(loop, part.name) for part in fields(loop)}
     if isinstance(loop, ClosedLoop) and loop.one_for_one:  # as in notes before there was a choice
         del note["references"], note["learned"]
@@ -81,7 +82,7 @@ def loop_note(loop: CurrentTrialLoop | ClosedLoop) -> str:
 
 
 def with_loop(trials: xr.Dataset, loop: Loop | None) -> xr.Dataset:
-    """Note the loop in the metadata, if :func:`loop_of` can make the loop again."""
+    """Write the loop into the metadata of trials, if :func:`loop_of` can read such a loop."""
     ours = isinstance(loop, CurrentTrialLoop | ClosedLoop)
     return trials.assign_attrs(loop=loop_note(loop)) if ours else trials
 
@@ -103,12 +104,12 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 
 
 def is_newer(note: str) -> bool:
-    """Whether a note needs the second format: L looks back, has a base, or is no filter."""
+    """Whether a note needs the second file format: L looks back, has a base, or is no filter."""
     return '"first":' in note or '"samples":' in note
 
 
 def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
-    """Return a law by the keys of its file, without the values that are `usual`.
+    """Return a law as a dict by the keys of its file, without values equal to those in `usual`.
 
     An L of a class that :func:`save_law` cannot write is left out.
     """
@@ -136,7 +137,7 @@ def _limits_note(kept):
 
 
 def _limits_from(note):
-    """Make limits of outputs again from their note; None without a note."""
+    """Make limits of outputs from the note of :func:`_limits_note`; None without a note."""
     if note is None:
         return None
     region = note["region"]
@@ -150,7 +151,7 @@ def _limits_from(note):
 
 
 def _filter_note(L):
-    """Return the note of a filter; keys that the first format lacked only where needed."""
+    """Return the note of a filter; keys of newer formats are written only if needed."""
     B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
     note = {"coefficients": K.coefficients, "ends": K.ends}
     if K.first == 1 and B is None:
@@ -160,7 +161,7 @@ def _filter_note(L):
 
 
 def _base_note(B):
-    """Return the note of a base; E is noted only if it differs from :func:`_stacked`."""
+    """Return the note of a base; E is written only if :func:`_stacked` would not give it."""
     note = {"b": B.b, "scale": B.scale, "P": B.P}
     if not np.array_equal(B.E, _stacked(B.P)):
         note["E"] = B.E
@@ -168,13 +169,13 @@ def _base_note(B):
 
 
 def _stacked(P):
-    """E of square models stacked in P, for notes without E; None if P is no such stack."""
+    """Return E for square models stacked in P, for notes without E; None if P is no stack."""
     copies, rest = divmod(P.noutputs, P.ninputs)
     return None if rest else isometry(copies, P.ninputs)
 
 
 def _law_from(Ts, Q, L, rest, step, actuators, outputs):
-    """Make a law again from the notes of :func:`law_notes`."""
+    """Make a law from the notes that :func:`law_notes` wrote."""
     L, kept = None if L is None else _filter_from(Ts, **L), _limits_from(outputs)
     return Law(ZeroPhaseButterworth(Ts=Ts, **Q), L, rest, step, actuators, output_limits=kept)
 
@@ -191,7 +192,7 @@ def _filter_from(Ts, base=None, K_first=True, **taps):
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
-    """Note in the metadata which law (23) made the trials, and around which loop."""
+    """Write into the metadata which law made the trials, and around which loop."""
     made = replace(law, limits=law.known_limits)  # limits of a rig hold on that rig alone
     texts = {key: text_of(note) for key, note in law_notes(made, OF_LOG).items()}
     return with_loop(trials.assign_attrs(texts), law.loop)
@@ -268,9 +269,9 @@ def save_law(path, law: Law, note: str = "") -> None:
     Notes
     -----
     The file has the keys ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` and
-    ``note``. The key ``L`` holds coefficients of shape (m, p, order), and ends. If L looks back or
-    has a base, ``L`` also holds first and base. The value of base is null, or b, scale and the
-    model P.
+    ``note``. The key ``L`` holds coefficients of shape (m, p, order), and ends. If L looks back, or
+    has the form B K with a base B, ``L`` also holds first and base. The value of base is null, or
+    b, scale and the model P.
 
     These keys are written if they differ from the defaults: ``rest``, ``step`` (the learning gain),
     ``actuators`` (the limits) and ``outputs``. The key ``outputs`` holds limits of outputs, noise,

@@ -1,4 +1,4 @@
-"""Limits of outputs that every trial keeps: their values, and the guarantee that they are kept."""
+"""Limits of outputs that every trial keeps: their values, and what is guaranteed."""
 
 import reprlib
 from collections.abc import Sequence
@@ -31,7 +31,8 @@ class OutputLimits:
         Lowest and highest value of outputs by name, in their units. A value is a number, or has one
         entry for each sample.
     noise : dict
-        A bound n, by name of the output, of what does not repeat in each sample.
+        A bound n by name of the output. In each sample, the part of the output that does not repeat
+        from trial to trial is at most n.
     region : PlantRegion
         The models of the plant, with their radii.
     """
@@ -53,7 +54,7 @@ class OutputLimits:
 
     @cached_property
     def n(self) -> np.ndarray:
-        """Bound of what does not repeat, for each output, (p,)."""
+        """Bound n of the part of each output that does not repeat from trial to trial, (p,)."""
         return np.array([self.noise.get(name, 0.0) for name in self.region.outputs])
 
     def ends(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +71,7 @@ class OutputLimits:
         return ends[0], ends[1]
 
     def check_rest(self, reference) -> None:
-        """Refuse limits that trials exceed where they begin, at the reference's first sample."""
+        """Refuse limits that a trial exceeds at its start, the first sample of the reference."""
         low, high = self.ends(len(reference))
         for i, name in enumerate(self.region.outputs):
             rest, n = reference[0, i], self.n[i]
@@ -91,12 +92,12 @@ class OutputLimits:
         return np.maximum(-self.distance(y), 0)
 
     def room(self, y) -> Room:
-        """Compute the room of (6) after a trial with the outputs y."""
+        """Compute the room, (6) in `output_step`, that a trial with the outputs y has left."""
         low, high = self.ends(len(y))
         return Room(y - low - 2 * self.n, high - 2 * self.n - y)
 
     def first_share(self, reference) -> float:
-        """Compute the share of a reference (time, p) that P and its radius allow from rest."""
+        """Compute the share of a reference (time, p) that all plants of the region allow."""
         scale = self.region.scale
         w = (reference - reference[0]) / scale.v
         room = self.room(np.broadcast_to(reference[0], reference.shape))
@@ -107,10 +108,10 @@ class OutputLimits:
         )
 
     def safe_share(self, y) -> float:
-        """Compute the share b of a trial's w from rest that would have kept the limits.
+        """Compute the share b of the last w with which the trial would have kept the limits.
 
-        The outputs of the trial are y (time, p). The share is correct for all linear plants, if no
-        disturbance repeats:  high - n >= y_0 + b (y + n - y_0).
+        The trial begins at rest, and y (time, p) are its outputs. The share is correct for all
+        linear plants, if no disturbance repeats:  high - n >= y_0 + b (y + n - y_0).
         """
         low, high = self.ends(len(y))
         moves = y - y[0]
@@ -137,7 +138,7 @@ class OutputLimits:
         active: int,
         commands: Commands | None = None,
     ) -> Step | None:
-        """Compute the change of w that keeps the limits of outputs, :mod:`.output_step`.
+        """Compute the change of w that keeps the limits of outputs, see :mod:`.output_step`.
 
         This change replaces the law's own change. After a trial in which an output exceeded a
         limit, the result may be None. None means that no change is found after which all limits
@@ -150,9 +151,9 @@ class OutputLimits:
         now, past : Done, sequence of Done
             The trial that has just ended, and the trials before, in their order.
         norm : Norm
-            The norm of (7), in units of `scale`.
+            The norm of (7) in :mod:`.output_step`, in units of `scale`.
         active : int
-            Number of samples before the rest, in which a program may choose the change.
+            Number of samples in which a program may choose the change. After them, v is at rest.
         commands : Commands, optional
             Limits of commands, which hold for changes that programs find.
         """
@@ -175,12 +176,15 @@ class OutputLimits:
         )
 
     def _comparable(self, past):
-        """The trials from the last one beyond a limit on; conditions may have changed before."""
+        """Return the trials from the last trial beyond a limit on.
+
+        Before this trial, conditions may have been different.
+        """
         broken = [k for k, done in enumerate(past) if self.beyond(done.y).any()]
         return past[max(broken, default=0) :]
 
     def _in_words(self, name):
-        """The limits of an output in words; "changing" for a limit that changes with time."""
+        """Return the limits of an output in words; "changing" is a limit that varies in time."""
         low, high = ("changing" if np.ndim(end) else end for end in self.limits[name])
         return f"({low}, {high})"
 
@@ -233,7 +237,7 @@ def _number(end):
 
 
 def _limit(name: str, ends) -> Limit:
-    """Check the lowest and the highest of an output; None stands for no limit."""
+    """Check the lowest and the highest value of an output; None stands for no limit."""
     if not (isinstance(ends, list | tuple | np.ndarray) and len(ends) == 2):
         raise ValueError(f"{name} = {reprlib.repr(ends)} must be two values, the lower limit first")
     low, high = (

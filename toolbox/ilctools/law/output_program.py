@@ -1,6 +1,8 @@
-"""The program that finds a change which needs less room than the law's own: (7), :mod:`.nearest`.
+"""The quadratic program that finds a change of w which needs less room than the law's own change.
 
-Limits of outputs are tightened by a share theta of the output that the error of a plant may add.
+The room of an output is its distance from its limit. The program minimises the cost (7) of
+:mod:`.output_step`, and :mod:`.nearest` solves it. Limits of outputs are tightened by a share theta
+of what the error of a plant's model may add to the output.
 """
 
 from collections.abc import Sequence
@@ -15,11 +17,11 @@ from ilctools.law.nearest import Norm, Rows, nearest
 from ilctools.law.output_spread import Plant, Room, Spread
 from ilctools.response.scale import Scale
 
-MOST_PLANTS = 3  # plants in a program, chosen for the least share (6); (6) itself takes all plants
+MOST_PLANTS = 3  # plants in a program: those of least share (6); (6) itself uses all plants
 
 
 class Commands(NamedTuple):
-    """Limits of commands, and the model from w to commands."""
+    """Limits of commands, and the model from w, the signal that drives P, to the commands."""
 
     model: control.StateSpace  # from w to commands, in their own units
     ends: tuple[np.ndarray, np.ndarray]  # low and high of their change, (active, commands)
@@ -32,13 +34,13 @@ class Commands(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """What a change of w must achieve; all values are in units of `scale`."""
+    """The data of a program for the change of w; all values are in units of `scale`."""
 
     plants: Sequence[Plant]
     room: Room
     wanted: np.ndarray  # the law's change, (time, m)
     norm: Norm
-    active: int  # samples before the rest, in which the change may be another
+    active: int  # number of samples in which the change may differ from `wanted`
     commands: Commands | None
 
     def cost(self, d) -> float:
@@ -47,7 +49,7 @@ class Program:
         return self.norm.size(self.plants[0].output(off), off)
 
     def change(self, spreads: Sequence[Spread], theta: float) -> np.ndarray:
-        """Find the cheapest change within limits that are tightened by theta times the radii.
+        """Find the change of least cost within limits that are tightened by theta times the radii.
 
         The radii are taken from `spreads`, which hold the spread of the law's change for each
         plant. Raises a NotFound if there is no such change.
@@ -64,13 +66,13 @@ class Program:
 
 
 def _tightened(room: Room, spread: Spread, theta: float) -> tuple[np.ndarray, np.ndarray]:
-    """The range in which outputs may differ from their prediction for the law's change."""
+    """Compute the range in which outputs may differ from those predicted for the law's change."""
     margin = theta * spread.radius
     return margin - room.down - spread.middle, room.up - margin - spread.middle
 
 
 def _beside(asked) -> tuple[control.StateSpace, list[Rows]]:
-    """Join models with the same input; return the first one's outputs and all limited rows."""
+    """Join models with the same input; return the first model's outputs, and all limited rows."""
     models, ends = zip(*asked, strict=True)
     A, C = block_diag(*(P.A for P in models)), block_diag(*(P.C for P in models))
     B, D = np.vstack([P.B for P in models]), np.vstack([P.D for P in models])

@@ -1,6 +1,6 @@
-"""How outputs may change from one trial to the next, by a model, its radius and earlier trials.
+"""Bounds of the change of outputs from a trial to the next, by a model and by earlier trials.
 
-The equations (4) and (5) are in :mod:`.output_step`.
+The equations (4) to (6) are in :mod:`.output_step`.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from scipy.fft import rfft
 from ilctools.law.error_bound import ErrorBound
 from ilctools.models import from_rest
 
-PAST = 3  # number of earlier trials that (5) takes
+PAST = 3  # number of earlier trials that (5) uses
 REWEIGHTED = 6  # iterations of reweighted least squares, which approximate the least sum of norms
 NEARLY_ZERO = 1e-6  # relative size below which all values have the same weight in the iterations
 TINY = np.finfo(float).tiny  # added to divisors that may be zero
@@ -28,30 +28,30 @@ class Done(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """The least and the greatest change of y, without the last 2 n; shape (time, p)."""
+    """The least and the greatest change of y, (time, p), without the term 2 n of (4)."""
 
     least: np.ndarray
     most: np.ndarray
 
     @property
     def middle(self) -> np.ndarray:
-        """The expected change."""
+        """The expected change of y."""
         return (self.least + self.most) / 2
 
     @property
     def radius(self) -> np.ndarray:
-        """What the error of the model may add to the expected change."""
+        """The most by which the error of the model may move y from the expected change."""
         return (self.most - self.least) / 2
 
 
 class Room(NamedTuple):
-    """How far outputs may move, (6), shape (time, p)."""
+    """How far outputs may move down and up before they reach a limit, (6); shapes (time, p)."""
 
     down: np.ndarray
     up: np.ndarray
 
     def share(self, spread: Spread) -> np.ndarray:
-        """Compute alpha of (6) for each sample and output."""
+        """Compute the share alpha of (6) for each sample and output."""
         share = np.ones(spread.most.shape)
         for room, need in ((self.up, spread.most), (self.down, -spread.least)):
             limited = (need > 0) & np.isfinite(room)
@@ -62,17 +62,17 @@ class Room(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A plant within its radius on trials of one length, in units of `scale`."""
+    """A model, and the bound of its error on trials of one length, in units of `scale`."""
 
     model: control.StateSpace
     bound: ErrorBound
 
     def output(self, w) -> np.ndarray:
-        """Compute P w from rest, shape (time, p)."""
+        """Compute the output P w from rest, shape (time, p)."""
         return from_rest(self.model, w)
 
     def spread(self, d, now: Done, past: Sequence[Done], noise) -> Spread:
-        """Compute the spread by (4), and by (5) where (5) is tighter; noise (p,) is n."""
+        """Compute the spread for a change d of w by (4), or by (5) if tighter; `noise` is n."""
         y, rho = self.output(d), self.bound.over_time(d)[:, None]
         least, most = y - rho, y + rho  # (4)
         if past and rho.any():
@@ -92,7 +92,7 @@ class Plant:
         return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
 
     def combination(self, d, changes, noise: float) -> np.ndarray:
-        """Find c_j of (5) for which rho(d') + 2 n sum |c_j| is about least; any c_j are valid."""
+        """Find c_j of (5) that nearly minimise rho(d') + 2 n sum |c_j|; any c_j are valid."""
         D, W = (rfft(signal, self.bound.padded, axis=-2) for signal in (d, changes))
         size, each = np.abs(D).max() + TINY, self.bound.weights
         weights, of_c = each / size, np.zeros(len(W))

@@ -1,9 +1,9 @@
-"""The next trial's signal that keeps limits of outputs, if P is known within a radius only.
+"""Find the next trial's signal that keeps limits of outputs, if P has a known radius of error.
 
 Trial k was driven by w_k = r + v_k, and y_k was measured. The next trial is driven by w_k + d. The
-next outputs are y_k + P d + Delta d, plus what does not repeat. Delta is any stable, linear and
-causal error within the radius of P. What does not repeat is at most n in each trial. With rho(t) of
-:mod:`.error_bound`,
+next outputs are y_k + P d + Delta d, plus a part that does not repeat from trial to trial. Delta is
+any stable, linear and causal error within the radius of P. The part that does not repeat is at most
+n in each trial. With rho(t) of :mod:`.error_bound`,
 
     |y_{k+1} - y_k - P d| <= rho(t) + 2 n.                                                      (4)
 
@@ -11,12 +11,12 @@ Earlier trials can tighten this bound. For any numbers c_j
 
     d = sum c_j (w_j - w_k) + d',    y_{k+1} - y_k = sum c_j (y_j - y_k) + P d' + Delta d',     (5)
 
-where the error of P acts on d' only. The other part was measured, up to 2 n sum |c_j|. At each
-sample the tighter one of both bounds holds. If an earlier trial contradicts (4), another
-disturbance acted in that trial, and (5) leaves the trial out. The *need* of d is how far y may move
-towards a limit by (4) and (5), without the last 2 n. The need grows in proportion to d. The *room*
-is the distance to the limit, less 2 n. The largest share alpha of d that keeps all limits in the
-next trial is
+where the error of P acts on d' only. The outputs of the other part were measured, with an error of
+at most 2 n sum |c_j|. At each sample the tighter of the bounds (4) and (5) is used. If an earlier
+trial contradicts (4), another disturbance acted in that trial, and (5) leaves the trial out. The
+*need* of d is how far y may move towards a limit by (4) and (5), without the term 2 n. The need
+grows in proportion to d. The *room* is the distance to the limit, less 2 n. The largest share alpha
+of d that keeps all limits in the next trial is
 
     alpha = min(1, least of room / need),    room = high - 2 n - y_k,    or y_k - low - 2 n,    (6)
 
@@ -43,11 +43,11 @@ from ilctools.law.output_program import Program
 from ilctools.law.output_spread import Done
 
 THETAS = (0.3, 1.0)  # shares of (4) or (5) by which the limits of programs are tightened
-BACK_THETAS = (1.2, 2.0)  # the same shares, after a trial beyond a limit
+BACK_THETAS = (1.2, 2.0)  # shares theta that are tried after a trial beyond a limit
 
 
 def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | None:
-    """Find a change after which all limits hold for sure, after a trial beyond a limit.
+    """After a trial beyond a limit, find a change with which all limits hold for sure.
 
     Returns None if no change is found. Earlier trials are not used, because something may have
     changed since.
@@ -70,13 +70,13 @@ class Step(NamedTuple):
 
     change: np.ndarray  # (time, m)
     alpha: float  # share of the law's own change that (6) allows
-    output: int  # the output with the least alpha; the next two hold at its sample
+    output: int  # the output with the least alpha, at whose sample `room` and `error` hold
     room: float
     error: float  # radius of the spread
 
 
 def longest_step(program: Program, now: Done, past: Sequence[Done], noise: np.ndarray) -> Step:
-    """Find the change of least cost (7): the law's or a program's, each shortened by (6)."""
+    """Find the change of least cost (7): the law's own, or one of a program, shortened by (6)."""
     plants, room, wanted = program.plants, program.room, program.wanted
     past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
 

@@ -12,7 +12,7 @@ from ilctools.response.scale import Scale
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 
-POINTS = 2048  # frequencies at which a model is compared with samples, beside their own
+POINTS = 2048  # number of further frequencies at which a model is compared with samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class PlantRegion:
         estimated = response.low is not None
         return cls(models, omega * response.Ts, radii, scale, outputs, inputs, estimated)
 
-    sampled = False  # as in Response, like the next members, in the plants' own units
+    sampled = False  # this and the next members are as in Response, in the plants' own units
 
     @property
     def radius(self) -> np.ndarray | None:
@@ -68,12 +68,12 @@ class PlantRegion:
         return None if self.exact else self.radii[0] / self.scale.of_P.min()
 
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:
-        """Compute P (k, p, m) of a plant, and its radius (k,), at any frequencies, rad/s."""
+        """Compute the response (k, p, m) of a plant, and its radius (k,), at any omega, rad/s."""
         model, back = self.models[plant], self.scale.inverse.of_P
         radius = np.interp(omega * model.dt, self.angles, self.radii[plant])
         return frequency_response(model, omega) * back, radius * back.max()
 
     @property
     def exact(self) -> bool:
-        """Whether P is taken to be one of the models."""
+        """Whether P is taken to be exactly one of the models, because all radii are zero."""
         return not self.radii.any()

@@ -1,6 +1,7 @@
-"""The law (23) for trials that follow each other without a reset: repetitive control.
+"""The law (23) of the paper without a reset between trials: repetitive control.
 
-Let N be the period in samples and a the learning gain. In endless time, the law is
+Let N be the period in samples and a the learning gain. If a trial follows the last one without a
+reset, the law is
 
     v(t) = (1 - a) v(t - N) + a Q (v + L e)(t - N).
 
@@ -13,12 +14,12 @@ Let e_0 be the error without learning. For a = 1
     e(t) = M e(t - N) + f(t),    f(t) = e_0(t) - Q e_0(t - N) + P w(t),
     ||e|| <= ||f|| / (1 - gamma)
 
-in energy from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is the part of the
-law's signal that no trial applies. This part belongs to the first period. It covers the samples
-after t = N that Q and L look ahead to, and the samples before t = N that Q looks back to. In the
-periodic motion, the bound holds for every a, as RMS with f = (1 - Q) e_0. If the period of a signal
-differs from N by a fraction p, about 2 sin(pi k p) of its harmonic k remains. No warning tells of a
-wrong period.
+in the energy of the signals from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is
+the part of the law's signal that no trial applies. This part belongs to the first period. It covers
+the samples after t = N that Q and L look ahead to, and the samples before t = N that Q looks back
+to. In the periodic motion, the bound holds for every a, with RMS values as norms and f = (1 - Q)
+e_0. If the period of a signal differs from N by a fraction p, about 2 sin(pi k p) of its harmonic k
+remains. The law cannot detect a wrong period.
 
 Proof. Because det(I - XY) = det(I - YX), v has the characteristic equation
 det(I - z^-N M(z)) = 0. With a learning gain, M is replaced by M_a = (1 - a) I + a M, and
@@ -27,8 +28,9 @@ sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N, z^-N M(z) is causal. 
 gamma. Therefore no root lies in |z| >= 1 (small gain). The equation of e follows from
 P v = e_0 - e, because Q commutes with P. The delayed M is causal and has the norm gamma.
 
-:func:`ilctools.synthesise` with ``everywhere=True`` proves the condition between the samples of its
-grid, too. The theorem does not cover limits at which commands saturate, nor a shorter N.
+:func:`ilctools.synthesise` with ``everywhere=True`` proves the condition also between the
+frequencies of its grid. The theorem does not cover limits at which commands saturate, nor a shorter
+N.
 """
 
 from functools import lru_cache
@@ -40,13 +42,13 @@ from ilctools import arguments
 from ilctools.filters import Composition, LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 
-NEGLIGIBLE_OF_M = 1e-6  # error of M at any frequency, if P is at most one, when Q's response is cut
+NEGLIGIBLE_OF_M = 1e-6  # largest error of M by truncating the response of Q, if P is at most one
 
 
 def finite_response(law: Law) -> np.ndarray:
-    """Impulse response of Q, symmetric in time, without the ends that are negligible with this L.
+    """Return the impulse response of Q, symmetric in time, truncated as far as this L permits.
 
-    The error of M = Q (I - P L) by the missing ends is proportional to the size of L.
+    The error of M = Q (I - P L) that the truncation causes is proportional to the size of L.
     """
     gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
     return _cut(law.Q, NEGLIGIBLE_OF_M / max(1.0, gain))
@@ -54,7 +56,7 @@ def finite_response(law: Law) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
-    """Impulse response of Q without the ends that hold the fraction `share` of its sum."""
+    """Return the impulse response of Q without ends that hold the fraction `share` of its sum."""
     impulse = np.zeros((2 * Q.decay + 1, 1))
     impulse[Q.decay] = 1
     h = Q.apply(impulse)[:, 0]
@@ -63,7 +65,7 @@ def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
 
 
 def reach_ahead(law: Law) -> int:
-    """Number of samples by which v looks ahead in the trial before."""
+    """Return the number of samples by which the law looks ahead in the previous trial."""
     return len(finite_response(law)) // 2 + max(0, law.L.last)
 
 
@@ -93,14 +95,14 @@ def check_period(law: Law, period: int) -> None:
 
 
 def memory(law: Law, period: int) -> float:
-    """Number of past samples that a sample of v may depend on."""
+    """Return the number of past samples on which a sample of v may depend."""
     if law.L is None:
         return np.inf
     return period + len(finite_response(law)) + max(0, -law.L.first)
 
 
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
-    """Compute v in the samples from start to stop, from v and e, (time, m), of all earlier ones."""
+    """Compute v in the samples from start to stop, from v and e (time, m) of earlier samples."""
     h = finite_response(law)
     x = np.pad(v + law.L.apply(e), [(len(h) // 2, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)

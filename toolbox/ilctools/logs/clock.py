@@ -10,7 +10,7 @@ import pandas as pd
 
 from ilctools.errors import LogError
 
-NOTED_JITTER = 1e-3  # fraction of Ts: smaller jitter is not noted
+NOTED_JITTER = 1e-3  # fraction of Ts; smaller jitter is not noted in the log
 JITTER = 0.1  # fraction of Ts by which a step of the clock may differ from Ts
 DRIFT = 0.01  # fraction of Ts by which the mean step may differ from Ts
 ROUNDED_STEP = 2e-3  # fraction of the mean step by which rounding may change the mean step
@@ -19,12 +19,12 @@ LATEST_START = 1e11
 
 
 def steps_of(table: pd.DataFrame) -> pd.Series:
-    """Return the steps of the clock within trials, each by the row in which it ends."""
+    """Return the steps of the clock within trials, indexed by the row in which a step ends."""
     return table["time"].diff()[table["trial"].diff() == 0]
 
 
 def mean_step(table: pd.DataFrame) -> float:
-    """Return the mean step of a clock, rounded as far as its scatter permits; NaN without steps."""
+    """Return the mean step, rounded as far as the scatter of steps permits; NaN without steps."""
     steps = steps_of(table)
     mean = float(steps.mean())
     slack = min(steps.max() - steps.min(), ROUNDED_STEP * mean)
@@ -33,7 +33,7 @@ def mean_step(table: pd.DataFrame) -> float:
 
 
 def seconds(unit: str) -> float:
-    """Return the length of a unit of time, in s; a ValueError for any other unit."""
+    """Return the length of a unit of time, in s; raise a ValueError for any other unit."""
     unit = re.sub("secs?$", "s", unit.replace("\u03bc", "\u00b5"))  # pandas knows one mu
     return pd.Timedelta(1, unit).total_seconds()
 
@@ -41,8 +41,8 @@ def seconds(unit: str) -> float:
 def check_start(start: float, second: float) -> None:
     """Refuse a clock that begins later than any clock does, because its unit must be wrong.
 
-    Both arguments are in s: `start` is the begin of the clock, and `second` is the unit in which
-    the clock was read.
+    Both arguments are in s: `start` is the first time of the clock, and `second` is the length of
+    the unit in which the clock was read.
     """
     if abs(start) > LATEST_START:
         raise LogError(
@@ -53,7 +53,7 @@ def check_start(start: float, second: float) -> None:
 
 
 def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
-    """Check trials and clock, and note jitter; a LogError if trials are not complete or in time."""
+    """Check trials and their clock; return a note on jitter, or raise a LogError."""
     trial, steps = table["trial"], steps_of(table)
     starts = trial.diff() != 0
     _refuse(

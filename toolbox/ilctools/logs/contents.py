@@ -1,4 +1,4 @@
-"""Text files in the encoding that a reader expects; the error for other files says what to do."""
+"""Check the encoding of text files; the error for other files says what to do."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from ilctools.errors import LogError
 
 @contextmanager
 def text_in(encoding: str, remedy: str) -> Iterator[None]:
-    """Raise a LogError if the bytes of a text file, read within, do not fit this encoding."""
+    """Raise a LogError if a text file that is read in this block has another encoding."""
     try:
         yield
     except (UnicodeError, LookupError) as error:  # LookupError: the encoding is unknown

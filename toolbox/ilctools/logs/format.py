@@ -19,10 +19,10 @@ from ilctools.files import keep_others, write_pieces
 from ilctools.law.notes import is_newer
 from ilctools.signals import ASKED, SIGNALS, period_of, points_of, roles_of
 
-# The second is for an L whose note `is_newer`. The third is for a v that has channels of inputs.
+# The second format is for an L whose note `is_newer`, the third for a v with channels of inputs.
 LOG_FORMATS = ("rodlib trial log 2", "rodlib trial log 3", "rodlib trial log 4")
 RESERVED_KEYS = ("format", "Ts", "signals", ASKED)  # keys that free metadata must not have
-OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group, or none
+OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has a whole group, or none
 
 _message = Repr()
 _message.maxlist, _message.maxstring = 18, 80
@@ -103,7 +103,7 @@ def write_log(trials: xr.Dataset, path) -> None:
 
 
 def _points_note(trials):
-    """The samples with a reference, by output; {} if the reference covers all samples."""
+    """Return the samples with a reference, by output; {} if the reference covers all samples."""
     points = points_of(trials)
     if points is None:
         return {}
@@ -140,7 +140,7 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
 
 
 def check_signals(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Return the unit of each signal by name; a ValueError if a log cannot have these signals."""
+    """Return the unit of each signal by name; refuse signals that a log cannot have."""
     units = {}
     for role, names in arguments.instance("signals", signals, dict).items():
         arguments.choice("a key of signals", role, [*ROLES.values()])
@@ -178,12 +178,12 @@ def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]
 
 
 def _quoted(title):
-    """Quote a title for CSV, also a title with #, at which pandas would start a comment."""
+    """Quote a title for CSV if needed; after a bare # pandas would read a comment."""
     return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 
 def _free_metadata(attributes):
-    """Turn all attributes except Ts into text, one line for each."""
+    """Convert all attributes except Ts to text, one line for each."""
     metadata = {}
     for key, value in attributes.items():
         if key == "Ts":

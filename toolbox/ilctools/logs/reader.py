@@ -1,4 +1,4 @@
-"""Reading of logs: the metadata, the rows by pandas, and trials with a checked clock."""
+"""Read logs: the metadata, the rows (by pandas), and trials whose clock is checked."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -77,7 +77,7 @@ def load_log(path) -> xr.Dataset:
 
 
 def read_log(path: Path, ended: bool = False) -> xr.Dataset:
-    """Read a log as :func:`load_log` does; if `ended`, without the warning of a torn last line."""
+    """Read a log as :func:`load_log` does; if `ended`, do not warn of an incomplete last line."""
     with about(path):
         # a complete line ends with a line feed
         file = regular(path)
@@ -117,7 +117,7 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
 
 
 def _with_points_from(note, trials):
-    """Add to trials the points that the metadata note."""
+    """Mark the points of trials at which the error counts, as the metadata state them."""
     points = np.zeros(trials.y.shape[1:], dtype=bool)
     with reading(ASKED):
         for name, samples in json.loads(note).items():
@@ -172,7 +172,7 @@ def value_of(entry) -> float:
 
 
 def numbers_in(column: pd.Series) -> pd.Series:
-    """Return the numbers in a column; a LogError for the first entry that is no finite number."""
+    """Return the numbers in a column; refuse an entry that is not a finite number."""
     numbers = column.map(value_of).astype(float)
     wrong = column[~np.isfinite(numbers)]
     if len(wrong):
@@ -189,7 +189,7 @@ def numbers_in(column: pd.Series) -> pd.Series:
 
 
 def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]]:
-    """Return the columns by signal; a LogError if a log of these signals needs other columns."""
+    """Return the columns by signal; refuse columns that a log of these signals does not have."""
     columns = columns_of(signals, [title.partition("_")[0] for title in header])
     titles = ["trial", "time", *chain(*columns.values())]
     if sorted(header) != sorted(titles):

@@ -29,8 +29,8 @@ from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
 from ilctools.warn import warn
 
-UNSTABLE_POLE = 1 + 1e-9  # modulus of an unstable pole; an integrator has one up to rounding
-DIGITS = 1e-5  # share of the largest v of an output: logs may hold few digits of v
+UNSTABLE_POLE = 1 + 1e-9  # larger moduli are unstable; an integrator has 1, with rounding
+DIGITS = 1e-5  # tolerance relative to the largest v, because logs may hold few digits of v
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Replay:
 
     @cached_property
     def disturbance(self) -> np.ndarray:
-        """The loop's disturbances, (trial, time, d); zero for those that were not recorded."""
+        """The loop's disturbances, (trial, time, d); one that was not recorded is zero."""
         names = self.loop.disturbances
         if "disturbance" not in self.trials:
             return np.zeros((*self.trials.e.shape[:2], len(names)))
@@ -83,7 +83,7 @@ class Replay:
 
     @cached_property
     def simulated(self) -> xr.Dataset | None:
-        """The same trials on the model, simulated with the same law, references, disturbances."""
+        """The trials, simulated on the model with the same law, references and disturbances."""
         complete = self.numbers == [*range(1, len(self.numbers) + 1)]
         if self.law is None or self.model is None or not complete:
             return None
@@ -101,9 +101,9 @@ class Replay:
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs of the model, from rest, under the recorded inputs, without feedback.
+        """Outputs that the model predicts from the recorded inputs, from rest and without feedback.
 
-        None if the model is unstable; an integrator counts as stable.
+        The result is None if the model is unstable. An integrator counts as stable.
         """
         if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE_POLE:
             return None
@@ -167,8 +167,9 @@ class Replay:
 
     @property
     def kept(self) -> pd.DataFrame | None:
-        """Distance of limited outputs from their limits, and alpha of the step before each trial.
+        """Distance of limited outputs from their limits, and the share alpha, by trial.
 
+        Before the trial, alpha was the share of the law's own change of v that the limits allowed.
         A negative distance means that the output exceeded a limit. The result is None without
         limits of outputs.
         """

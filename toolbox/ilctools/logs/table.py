@@ -56,18 +56,17 @@ def read_table(
         The column of each controlled output, by the name that the output gets.
     inputs : dict, optional
         The column of the actuator that controls each output, in the order of the outputs. Default:
-        not known.
+        the actuators are not known.
     time : str or int, optional
-        Column of the clock. Without it, rows are `Ts` apart. The clock has numbers in the unit of
-        its title, such as "t (ms)" or "t_ms", or in the unit that `units` gives; the default is s.
-        Or it has dates that pandas has parsed, by the options
-        ``parse_dates=["t"], date_format="ISO8601"``. A clock that counts from 1970 on in ms, us or
-        ns needs its unit.
+        Column of the clock. If `time` is not passed, rows are `Ts` apart. The clock has numbers in
+        the unit of its title, such as "t (ms)" or "t_ms", or in the unit that `units` gives; the
+        default is s. Or it has dates that pandas has parsed, by the options ``parse_dates=["t"],
+        date_format="ISO8601"``. A clock that counts from 1970 on in ms, us or ns needs its unit.
     Ts : float, optional
         Sampling period, s, which is needed without `time`. Default: the mean step of the clock,
-        rounded as far as steps scatter.
+        rounded within the scatter of the steps.
     reference : dict, optional
-        Column of the reference of each output. Default: not known.
+        Column of the reference of each output. Default: the reference is not known.
     v : dict, optional
         Column of the ILC signal that was added to the reference. Default: zero.
     disturbances, measured : dict, optional
@@ -137,7 +136,7 @@ def read_table(
 
 
 def _asked(**columns):
-    """The columns of each argument that is given, checked."""
+    """Return the columns of each argument that was passed, checked."""
     return {
         argument: arguments.by_name(argument, given, given)
         for argument, given in columns.items()
@@ -157,7 +156,7 @@ def _frame_of(source, options):
 
 @contextmanager
 def _no_lost_columns():
-    """Refuse rows that are longer than the titles: pandas only warns, and drops their ends."""
+    """Refuse rows with more entries than titles, which pandas cuts off with a warning."""
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", "Length of header", pd.errors.ParserWarning)

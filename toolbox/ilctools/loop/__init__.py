@@ -1,1 +1,1 @@
-"""The loops to which learning is applied: designed here, or closed by another controller."""
+"""The loops to which learning is applied: the loop of the paper, and other controllers' loops."""

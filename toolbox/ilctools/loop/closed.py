@@ -1,9 +1,9 @@
-"""Loops as objects: the current-trial loop with its P, and loops whose controller is not ours.
+"""Loops as objects: the current-trial loop of the paper, and loops that another controller closes.
 
-The current-trial loop is from Section III, (16)-(19), (30)-(32). It consists of the plant, a state
-feedback, and an observer that also estimates the equivalent input disturbance. To see the effect of
-model errors, put the same controller around another plant. The gains are designed in
-:mod:`ilctools.loop.design`.
+Equation numbers in this module are those of the paper. The current-trial loop is from Section III,
+(16)-(19) and (30)-(32). It consists of the plant, a state feedback, and an observer that also
+estimates the equivalent input disturbance. To see the effect of model errors, put the same
+controller around another plant. The gains are designed in :mod:`ilctools.loop.design`.
 """
 
 from collections.abc import Sequence
@@ -68,7 +68,7 @@ class Loop(Protocol):
 
     @property
     def disturbances(self) -> Sequence[str]:
-        """Names of the d inputs of the plant that the loop does not know."""
+        """Names of the inputs d of the plant, which the controller does not know."""
 
     @property
     def units(self) -> dict[str, str]:
@@ -95,7 +95,7 @@ class Loop(Protocol):
         """
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """Compute the v, (..., m), with which the loop would have asked for `applied`, not for u.
+        """Compute the v, (..., m), with which the loop would have asked for `applied`, not u.
 
         Both `u` and `applied` are commands of shape (..., commands). Where they are equal, the
         result is v.
@@ -116,7 +116,7 @@ class Loop(Protocol):
 
 @dataclass(frozen=True)
 class CurrentTrialLoop:
-    """The feedback loop (19): plant, state feedback, observer and feedforward.
+    """The feedback loop (19) of the paper: plant, state feedback, observer and feedforward.
 
     Arrays are in the order of the signals of `plant`. Only shapes are checked here.
     :func:`current_trial_loop` also checks that loop and observer are stable, and that the controls
@@ -125,9 +125,10 @@ class CurrentTrialLoop:
     Attributes
     ----------
     plant : control.StateSpace
-        The plant (12): inputs u (m of them), then d; outputs y (m).
+        The plant (12). Its first m inputs are the controls u. The others are the disturbances d.
+        Its m outputs are y.
     Ks, KL, N : ndarray, shapes (m, n), (n + m, m), (m, m)
-        State feedback (26), observer gain (29), static feedforward.
+        State feedback gain (26), observer gain (29), and gain of the static feedforward.
     units : dict
         Unit of each input and output of the plant, by name; "" if it is not known.
     """
@@ -236,14 +237,15 @@ class CurrentTrialLoop:
 
     @cached_property
     def closed(self) -> control.StateSpace:
-        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
+        """The loop (19) as one model, with the states x, x-hat and epsilon-hat.
 
-        The frequency response from w is P of (31), and the response from d is P-tilde of (32).
+        The inputs are w1, w2, ..., and then the disturbances d. The outputs are y. The frequency
+        response from w is P of (31), and the response from d is P-tilde of (32).
         """
         return _from_w_and_d(self)
 
     def around(self, plant: Model) -> control.StateSpace:
-        """Return the loop (19) of the same controller around another plant, if it is stable.
+        """Return the loop (19) with the same controller around another plant, if it is stable.
 
         The result is like :attr:`closed`, but the first states belong to `plant`, a model of any
         order. The signals of `plant` are matched by name. The plant must have the loop's controls
@@ -291,13 +293,13 @@ class CurrentTrialLoop:
 
 
 def _inputs_of(outputs):
-    """Names of inputs, one for each output."""
+    """Return the names w1, w2, ... of inputs, one for each output."""
     return [f"w{i + 1}" for i in range(len(outputs))]
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A loop whose controller is not ours, such as a PID in a PLC; its outputs y follow w.
+    """A loop that another controller closes, such as a PID in a PLC; its outputs y follow w.
 
     Each input w takes the reference r of an output, a learned signal v, or both,
 
@@ -320,11 +322,12 @@ class ClosedLoop:
     outputs : sequence of str, optional
         Names of y. Default: the names in P.
     references : dict, optional
-        The output whose reference an input takes, ``{input: output}``; {} for none. Default, with
-        as many inputs as outputs: each input takes the reference of its own output.
+        Which input takes the reference of which output, ``{input: output}``. With {}, no input
+        takes a reference. Default, if there are as many inputs as outputs: each input takes the
+        reference of the output at the same place.
     learned : sequence of str, optional
-        Names of the inputs that take a learned signal. Default, with as many inputs as outputs:
-        all inputs.
+        Names of the inputs that take a learned signal. Default, if there are as many inputs as
+        outputs: all inputs.
     controls : sequence of str
         Names of the commands u, one for each output, if the rig reports them.
     disturbances : sequence of str
@@ -334,7 +337,7 @@ class ClosedLoop:
 
     See Also
     --------
-    current_trial_loop : a loop of ours around a plant
+    current_trial_loop : designs a loop around a plant
     shake : how P can be measured
 
     Examples
@@ -354,7 +357,7 @@ class ClosedLoop:
     """
 
     P: Model = None
-    Ts: float = None  # the period of P; once the loop is made, Ts is a number, the next are names
+    Ts: float = None  # after __post_init__ a number; the next fields then hold names
     outputs: Sequence[str] = None
     references: dict[str, str] = None
     learned: Sequence[str] = None
@@ -396,7 +399,7 @@ class ClosedLoop:
         )
 
     def _channels(self, P, outputs):
-        """Names of the inputs, the reference that each takes, and the names of learned inputs."""
+        """Return the references that inputs take, and the names of learned inputs, checked."""
         references, learned = self.references, self.learned
         if P is not None:
             inputs = arguments.different("inputs of P", P.input_labels)
@@ -471,9 +474,9 @@ class ClosedLoop:
     def realised(self, v, u, applied) -> np.ndarray:
         """Compute the v with which the loop would have asked for `applied`, not for u.
 
-        If an input that takes a reference alone saturates, no v can replace what is lost.
+        If an input that takes only a reference saturates, no v can express this saturation.
         """
-        return v + (applied - u) @ self.G  # v itself where nothing was cut off
+        return v + (applied - u) @ self.G  # v itself where nothing saturated
 
     @property
     def P_v(self) -> control.StateSpace | None:
@@ -541,7 +544,7 @@ def _stable_model(name, P):
 
 
 def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A, B, K of observer (16) and feedback (18).
+    """Return A, B, K of the observer (16) and the feedback (18).
 
     The equations are c(p+1) = A c + B u + K_L y and u = N w - K c.
 
@@ -554,16 +557,17 @@ def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def with_disturbance(A, B, C) -> tuple[np.ndarray, np.ndarray]:
-    """Return A_a, C_a of (15), A_d = C_d = I, with the plant's states before the disturbance."""
+    """Return A_a and C_a of (15) for A_d = C_d = I; the states of the plant come first."""
     n, m = B.shape
     return np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]), np.pad(C, [(0, 0), (0, m)])
 
 
 def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
-    """Return the loop (19), (18) around its plant or another, whose signals are matched by name.
+    """Return the loop (18), (19) around its own plant or another plant.
 
-    The inputs are w, d, and a signal that is added to y before the observer (16). The outputs are y
-    and u. The states are the plant's states, x-hat and delta.
+    The signals of another plant are matched by name. The inputs are w, d, and a signal that is
+    added to y before the observer (16). The outputs are y and u. The states are the plant's states,
+    x-hat and delta.
     """
     if plant is None:
         return close(loop, loop.plant)
@@ -604,7 +608,7 @@ def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpa
 
 
 def _from_w_and_d(loop, plant=None):
-    """The loop (19) without noise, with named signals."""
+    """Return the loop (19) from w and d to y, with named signals."""
     m = len(loop.outputs)
     closed = whole_loop(loop, plant)[:m, :-m]
     closed.update_names(

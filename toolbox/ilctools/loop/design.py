@@ -1,7 +1,8 @@
-"""The design of the current-trial loop: what holds a plant on its reference within one trial.
+"""The design of the current-trial loop, which keeps a plant near its reference within one trial.
 
-Section III, (12)-(29): a state feedback, and an observer that also estimates the equivalent input
-disturbance. The loop is what iterative learning control then acts on from trial to trial.
+The design follows Section III of the paper, (12)-(29); all equation numbers are those of the paper.
+It consists of a state feedback, and of an observer that also estimates the equivalent input
+disturbance. Iterative learning control then acts on this loop from trial to trial.
 """
 
 import warnings
@@ -28,7 +29,7 @@ def current_trial_loop(
     Qo=None,
     Ro=None,
 ) -> CurrentTrialLoop:
-    """Close a loop around a plant: state feedback, observer, and estimate of the disturbance.
+    """Design a loop around a plant: state feedback, observer, and estimate of the disturbance.
 
     The gains solve two linear-quadratic problems, (16)-(29) of the paper. The disturbance is
     estimated as the input that has the same effect on the plant, and is subtracted from the
@@ -62,7 +63,7 @@ def current_trial_loop(
 
     See Also
     --------
-    ClosedLoop : a loop whose controller is not ours
+    ClosedLoop : a loop that another controller closes
     synthesise : designs a learning filter for the loop
 
     Notes
@@ -128,7 +129,7 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
 
 
 def _sizes(sizes, outputs, controls):
-    """Return S_y and S_u, what counts as large; a size that is not given is one."""
+    """Return S_y and S_u, which hold the sizes of signals; a size that is not given is one."""
     names = [*outputs, *controls]
     large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
     large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]

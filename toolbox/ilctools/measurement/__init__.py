@@ -1,1 +1,1 @@
-"""From records to P: excitation, estimates, and the region in which the truth lies."""
+"""From records to P: excitation, estimates, and the region in which the true P lies."""

@@ -1,8 +1,9 @@
-"""Score tests of whether the records come from one linear plant that stays as it is.
+"""Score tests of whether the records come from one linear plant that does not change.
 
-The model is y = X x + Z delta + e, with x ~ N(0, s^2 D) and e ~ N(0, s^2 W^-1). The regression
-supposes delta = 0. At the estimate x of the regression, the score q of delta and its information J
-need no further fit:
+The model is y = X x + Z delta + e, with x ~ N(0, s^2 D) and e ~ N(0, s^2 W^-1). X and x are the
+regressors and the unknowns of the regression in :mod:`.arx.regression`. A hypothesis adds the
+columns Z with the coefficients delta. The regression supposes delta = 0. At the estimate x of the
+regression, the score q of delta and its information J need no further fit:
 
     q = Z' W (y - X x),    J = Z' W Z - Z' W X (X' W X + D^-1)^-1 X' W Z,                       (1)
     F = q' J^-1 q / (k s^2),                                                                    (2)
@@ -11,29 +12,32 @@ and F of k columns has an F(k, n) distribution if delta = 0 and n is large (C. R
 Cambridge Phil. Soc. 44 (1948) 50-57). The hypotheses are tested one after the other. Each one is a
 set of columns Z, filtered by A:
 
-- The simulated output of one trial, and its slope, stand for another gain or another delay in this
-  trial. If there is a single trial, both are multiplied by the time.
+- The simulated output of one trial, and its derivative, stand for another gain or another delay in
+  this trial. If there is a single trial, both are multiplied by the time.
 - The sign of the last move of each input, filtered by the plant, stands for backlash. Backlash
   passes on u less half the gap times this sign.
 - Squares and cubes stand for a curve, a dead zone or a spring that is not linear. The squares and
   cubes of the inputs and of the measured output are filtered by the plant. The squares and cubes
   of the simulated output are used as they are.
 
-All these hypotheses are about P. The simulated output of the first hypothesis is the response to
-the commanded inputs. The inputs of the other hypotheses are the commanded inputs. The effect of a
-known disturbance is in the simulated output whose squares and cubes are tested.
+All these hypotheses are about P, which is the response to the commanded inputs. In the first
+hypothesis, the simulated output is therefore the response to the commanded inputs alone. Backlash,
+squares and cubes of inputs are also tested for commanded inputs alone, and not for inputs that are
+known disturbances. Only the simulated output whose squares and cubes are tested includes the effect
+of known disturbances.
 
-What one further gain of each input explains is subtracted beforehand, for two reasons. The prior
-makes gains too small. If an input has two levels only, its squares and cubes are gains.
+Every test first subtracts what one further gain of each input explains, for two reasons. First, the
+prior makes gains too small. Second, if an input has only two levels, its squares and cubes act like
+another gain.
 
 *Feedback.* If the record has no reference, u may follow y. Then -1 / C is estimated, and no test of
 residuals can distinguish this loop from a plant -1 / C. But a plant with a lag and without a lead
 responds at once with only a part of its final response, and a sampled plant does not respond at
-once. A contradiction is therefore reported under two conditions. By the same F, u(t) must explain
-y(t). The first coefficient of the impulse response must not be between 0 and 1.1 times the sum of
-all coefficients. The factor is 0.5 instead of 1.1 if u(t) explains a million times what is left.
-This is the case for a proportional controller, or for a plant without lags and almost without
-noise. The error of P is then unknown, and counts as all of P.
+once. A contradiction is therefore reported under two conditions. First, u(t) must explain y(t) by
+the F test (2). Second, the first coefficient of the impulse response must not be between 0 and 1.1
+times the sum of all coefficients. The factor is 0.5 instead of 1.1 if u(t) explains a million times
+the power of the residual. This is the case for a proportional controller, or for a plant without
+lags and almost without noise. The error of P is then unknown, and counts as all of P.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -49,12 +53,12 @@ from ilctools.measurement.arx.regressors import products
 from ilctools.measurement.arx.trials import Series, Trials, contrasts, longest_of
 from ilctools.measurement.arx.unknowns import Kind
 
-FALSE_ALARM = 1e-3  # probability for each output
+FALSE_ALARM = 1e-3  # probability of a false contradiction, for each output
 # The first coefficient of an impulse response, relative to the sum of all: no plant has more than
 # WHOLE. No plant has more than HALF if u(t) explains ALMOST_ALL times the power of the rest. The
 # numbers were found by counting.
 WHOLE, HALF, ALMOST_ALL = 1.1, 0.5, 1e6
-EXPLAINED = 1e-9  # relative: what others do not explain of a column, if it is only rounding
+EXPLAINED = 1e-9  # relative: a smaller part of a column that others do not explain is rounding
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
@@ -65,7 +69,7 @@ FOLLOWS = (
 
 
 class Hypothesis(NamedTuple):
-    """Something that no linear plant does, as columns of Z."""
+    """A behaviour that no linear plant has, as columns of Z."""
 
     words: str
     columns: int
@@ -83,7 +87,7 @@ class Contradiction(NamedTuple):
 
 
 class Score(NamedTuple):
-    """The score and its information (1), for columns Z."""
+    """The score q and its information J, equation (1), for columns Z."""
 
     q: np.ndarray  # (column,)
     J: np.ndarray  # (column, column)
@@ -136,7 +140,7 @@ def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
 def score(
     fit: Regression, groups: Sequence[Trials], added: Callable[[Series], np.ndarray]
 ) -> Score:
-    """Compute (1) for one further gain of each input, and for columns (column, time) per series."""
+    """Compute (1) for a further gain of each input, and for the columns that `added` makes."""
     at, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
     G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
     gains = np.zeros((p, len(layout.delays)))
@@ -195,7 +199,7 @@ def _of_group(fit, g, group):
 
 
 def _powers(of_P, u, y, measured):
-    """Squares and cubes: a curve or a dead zone before the plant, behind it, or fed back.
+    """Make squares and cubes, for a curve or dead zone before the plant, behind it, or fed back.
 
     A spring feeds back what was measured one sample before, of which the noise is independent.
     """
@@ -210,7 +214,7 @@ def _through(g, z):
 
 
 def _last_move(u):
-    """Backlash: the sign of the last move, less an initial sign opposite to the first move."""
+    """Compute the sign of the last move, less an initial sign opposite to the first move."""
     signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
     signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
     samples = np.arange(len(signs)).reshape(-1, 1, 1)
@@ -219,7 +223,7 @@ def _last_move(u):
 
 
 def _at_once(fit, level):
-    """Whether y responds to a commanded input at once, as by -1 / C, relative to the sum of g."""
+    """Whether y responds to a commanded input within the same sample, as if P were -1 / C."""
     layout, n = fit.data.layout, fit.data.n
     for j, g in enumerate(fit.impulse(2 * layout.lags)[: fit.commanded]):  # slow parts answer later
         lags = np.zeros((layout.size, 1))

@@ -1,27 +1,27 @@
-"""Noise and distortion (what is not linear) at the lines of an excited record.
+"""Noise and distortion at the lines (the excited frequencies) of an excited record.
 
-The regression of a record, A(z) y = B(z) w + e, connects the lines and models transients. The
-regression takes all that is left for noise. E_rp is the transform of its residual e over period p
-of realisation r, at the lines of the excitation. W_r is the transform of w. Both have the m
-experiments as columns. Then
+Distortion is the part of the response that is not linear. The regression of a record,
+A(z) y = B(z) w + e, describes P between the lines, and transients. The regression treats its whole
+residual as noise, although part of the residual may be distortion. E_rp is the transform of its
+residual e over period p of realisation r, at the lines of the excitation. W_r is the transform of
+w. Both have the m experiments as columns. Then
 
     D_rp = E_rp W_r^-1 / A,    G_rp = P + D_rp,                                                 (1)
 
 where the G_rp are the responses (1) of :mod:`.excited`, without transients. Equations (2) and (3)
-of that module therefore give the noise and the error at the lines. What is not linear has the
-variance
+of that module therefore give the noise and the error at the lines. Distortion has the variance
 
     delta^2 = max(error^2 - noise^2, 0),  if the mean of error^2 / noise^2 over all lines       (2)
 
-is above the 99 % point of its F distribution. Otherwise the variance is zero. What is not linear
-is the same in all periods of a realisation. As an error of E, at a line of an experiment, what is
-not linear has the variance
+is above the 99 % point of its F distribution. Otherwise the variance is set to zero. Distortion is
+the same in all periods of a realisation. With R realisations, at a line of an experiment, it adds
+to E an error of the variance
 
     v = R delta^2 ||W||^2 / m^2 |A|^2,                                                          (3)
 
 times the ratio of the quantiles of F and chi^2 at 1 - TAIL, because delta^2 is itself estimated.
 Let F be the transform of the regressors, summed over the N periods of p samples and divided by
-sqrt(N). The unknowns x then have the further covariance
+sqrt(N). The unknowns x of the regression then have the additional covariance
 
     M V M,    V = sum over experiments and lines of 2 N v / p^2 Re(F F^H),                      (4)
 
@@ -48,7 +48,7 @@ CONTRADICTED = (
     "splines between them. P may be wrong between the lines, as it is behind a long delay or "
     "at a narrow resonance. Record longer periods, or more lines"
 )
-GATE = 0.99  # probability that noise alone does not pass for something that is not linear
+GATE = 0.99  # probability that noise alone is not mistaken for distortion
 TAIL = 2e-4  # probability of the tail at which v is as uncertain as delta^2
 
 
@@ -59,7 +59,7 @@ def combined(
 
     The estimate is P at the lines alone in three cases: the lines have the smaller radius, no
     linear model describes the record, or the lines contradict the model. The last two cases are
-    findings.
+    reported as findings.
     """
     try:
         estimate = estimated_response([log], "w")
@@ -88,7 +88,7 @@ def _at_lines(of_lines, reason):
 
 
 def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResponse:
-    """Compute (1) for all outputs, in the units of the estimate."""
+    """Compute the responses G_rp of (1) for all outputs, in the units of the estimate."""
     [group] = estimate.record.groups
     angles = excitation.omega * estimate.loop.Ts
     W = spectra(group.u[..., : group.commanded], excitation)
@@ -102,7 +102,7 @@ def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResp
 
 
 def spectra(signal, excitation) -> np.ndarray:
-    """Transform all periods, at the lines: (realisation, period, n, channel, experiment)."""
+    """Compute spectra at the lines, (realisation, period, n, channel, experiment)."""
     m, period, channels = excitation.rows, excitation.period, signal.shape[-1]
     parts = signal.reshape(len(signal) // m, m, -1, period, channels)
     lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
@@ -110,7 +110,7 @@ def spectra(signal, excitation) -> np.ndarray:
 
 
 def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> EstimatedResponse:
-    """Add the covariance (4) to outputs for which the lines show something that is not linear."""
+    """Add the covariance (4) to the fits of outputs whose lines show distortion."""
     lines, [group] = lines_of(estimate, excitation), estimate.record.groups
     fits, linear = [], True
     for i, (fit, units) in enumerate(zip(estimate.fits, estimate.units, strict=True)):
@@ -121,7 +121,7 @@ def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> Esti
             one = replace(group, y=group.y[..., [i]])
             fit = replace(fit, C=fit.C + added_covariance(fit, one, excitation, v))
         fits.append(fit)
-    # A contradiction that is too small to report is in what the lines show.
+    # A contradiction that is too small to report is already part of the distortion at the lines.
     apart = estimate.apart if estimate.apart > SEEN else 0.0
     return replace(estimate, fits=tuple(fits), apart=apart, lines=lines, linear=linear)
 
@@ -142,7 +142,7 @@ def distortion(lines: ExcitedResponse) -> np.ndarray:
 
 
 def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.ndarray:
-    """Compute M V M of (4)."""
+    """Compute the covariance M V M of (4) for the unknowns of one output."""
     m, period, R = excitation.rows, excitation.period, len(group.y) // excitation.rows
     angles = 2 * np.pi * np.array(excitation.harmonics) / period
     W = spectra(group.u[..., : group.commanded], excitation)[:, 0]  # alike in all periods

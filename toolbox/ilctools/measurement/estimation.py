@@ -1,4 +1,4 @@
-"""The frequency response of any records in which the input moved, with its region.
+"""Estimate the frequency response from records in which the input moved, with a radius of error.
 
 Each output has a regression of its own, see :mod:`ilctools.measurement.arx.regression`. A is the
 denominator of the output, and dA and dB are the errors of its posterior. To first order in these
@@ -19,7 +19,8 @@ sigma^2. For one circular and independent entry of dP
 
 which has one solution t by Wright's omega function. The radius is c (theta t)^(1/2). At each
 frequency by itself, c is `FACTOR`. For all frequencies at once, c is `JOINT`, and p is divided by
-`INDEPENDENT`. With these numbers the benchmarks cover (docs/estimator.md).
+`INDEPENDENT`. With these numbers, the radius covers the true P in the benchmarks
+(docs/estimator.md).
 
 *Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero. Then A has as many
 zeros outside the circle as its estimate (Rouche). If there are any, the plant does not settle. The
@@ -50,12 +51,12 @@ from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
 
-FACTOR, JOINT = 0.85, 1.3  # factors of radii, at each frequency and at all: benchmarks then cover
-INDEPENDENT = 50  # number of frequencies that count as independent: for all, p is divided by it
+FACTOR, JOINT = 0.85, 1.3  # factors of radii, at each frequency and at all of them
+INDEPENDENT = 50  # number of independent frequencies, by which p is divided for all frequencies
 HANKEL_ROWS = 300  # samples; also the largest number of states of a model
 ROUNDING_OF_HANKEL = 1e-12  # relative to the largest singular value: smaller ones are rounding
 STATED_FREQUENCIES = 200  # number of frequencies at which P is stated
-MODEL_NEAR = 0.1  # relative to the largest P: a model is as near, even if the radius is larger
+MODEL_NEAR = 0.1  # largest error of a model, relative to the largest P, if the radius is larger
 SEEN = 0.02  # relative to P: smaller contradictions widen the radius, but are not reported
 WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
 # A smaller value warns of fewer plants that do not settle. A larger one warns of more that do.
@@ -118,12 +119,15 @@ class EstimatedResponse(Measured):
 
     @cached_property
     def known(self) -> np.ndarray:
-        """Where P is identified, shape (n,), bool: the 95 % radius is less than P."""
+        """Mask of the frequencies at which P is identified, (n,): the 95 % radius is below P."""
         return self.radius() < largest_singular_values(self.response)
 
     @cached_property
     def resolved(self) -> np.ndarray:
-        """Where a design may begin, shape (n,), bool: identified, and a period fits into a record.
+        """Mask of frequencies at which a design may begin, (n,).
+
+        P must be identified there, and a period must fit into a record.
+
 
         A record of T seconds distinguishes frequencies that are 2 pi / T apart, like the
         frequencies of its discrete Fourier transform. Below 2 pi / T the record cannot distinguish
@@ -201,11 +205,11 @@ class EstimatedResponse(Measured):
         return replace(self, units=self.units * of_P)
 
     def model(self) -> control.StateSpace:
-        """Compute a model near P, with the lowest order that is near enough.
+        """Compute a model near P, of the lowest order that is sufficient.
 
         A model is near P if its error is within the joint 99 % radius. At frequencies of which a
-        period fits into a record, the error must also be within a tenth of the largest P. The
-        model is therefore like the estimate even if the record contains little information.
+        period fits into a record, the error must also be within a tenth of the largest P. The model
+        is therefore near the estimate even if the record contains little information.
 
         The model is balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar
         Conference (1978) 705-714). A delay also takes states. If no order is enough, a LogError is
@@ -357,7 +361,7 @@ def quantile(trace, root, shares, p: float) -> np.ndarray:
 
 
 def _at_rest(record, units):
-    """P(0) of each output in these units, if the loop's observer integrates; else None."""
+    """Return P(0) of each output in these units if the loop's observer integrates, else None."""
     if record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
         return np.eye(len(units)) / units
     return [None] * len(units)

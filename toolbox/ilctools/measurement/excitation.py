@@ -13,24 +13,23 @@ from ilctools.law.notes import read_note, with_loop
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-CLIPPING_ROUNDS = 300  # of the search for low peaks: three times as many lower peaks by 3 %
+CLIPPING_ROUNDS = 300  # rounds of the search for low peaks; three times as many lower peaks by 3 %
 # Defaults: with more realisations the quantiles of the radius hardly fall.
 FEWEST_REALISATIONS, MOST_REALISATIONS = 2, 10
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """An excitation: for each realisation of the phases, as many experiments as inputs.
+    """A periodic excitation: as many experiments as inputs, for each realisation of the phases.
 
     All inputs are excited in each experiment. In experiment e, input i is amplitude_i / peak times
-    a sum of cosines. The sum is over the harmonics h of
-    cos(2 pi h t / period + phase_ih + 2 pi e i / m). At every line the m experiments are therefore
-    orthogonal. With the same peaks and in the same time, the variance of the estimate is 1 / m of
-    the variance with one input at a time. The source is Dobrowiecki, Schoukens and Guillaume,
-    Optimized excitation signals for MIMO frequency response function measurements, IEEE Trans.
-    Instrum. Meas. 55, 2006. The next realisation has other phases, which
-    show what is not linear. The first period of each experiment is left out, because most of the
-    transient decays in this period.
+    the sum over all harmonics h of cos(2 pi h t / period + phase_ih + 2 pi e i / m). At every line
+    (excited frequency) the m experiments are therefore orthogonal. With the same peaks and in the
+    same time, the variance of the estimate is 1 / m of the variance with one input at a time. The
+    source is Dobrowiecki, Schoukens and Guillaume, Optimized excitation signals for MIMO frequency
+    response function measurements, IEEE Trans. Instrum. Meas. 55, 2006. Each realisation has its
+    own phases. Differences between the realisations show what is not linear. The first period of
+    each experiment is left out, because most of the transient decays in this period.
     """
 
     Ts: float  # s
@@ -147,7 +146,7 @@ def multisine(
 
 
 def _amplitudes(amplitude, loop):
-    """The largest |w| of each input."""
+    """Return the largest |w| of each input, checked."""
     m = len(loop.learned)
     each = [amplitude] * m if np.ndim(amplitude) == 0 else amplitude
     each = arguments.by_channel(
@@ -158,14 +157,17 @@ def _amplitudes(amplitude, loop):
 
 
 def _harmonics(period, highest, lines):
-    """Numbers of the lines, evenly on a logarithmic scale, up to an angle below Nyquist's."""
+    """Return harmonics, evenly on a logarithmic scale, up to `highest`, in rad per sample."""
     below_nyquist = (period - 1) // 2
     last = min(int(highest * period / (2 * np.pi)), below_nyquist)
     return np.unique(np.round(np.geomspace(1, last, lines)).astype(int)).tolist()
 
 
 def _divided(hours, cycle, realisations, lowest):
-    """Realisations, and periods of each that are evaluated; `cycle`: hours of a period of all m."""
+    """Return the number of realisations, and of the evaluated periods in each experiment.
+
+    One period in all m experiments takes `cycle` hours.
+    """
     hours = arguments.positive("hours", hours, "a positive number of hours")
     available = int(hours / cycle)
     if realisations is None:
@@ -183,17 +185,17 @@ def _divided(hours, cycle, realisations, lowest):
 
 
 def _envelopes(phases, harmonics, period):
-    """The sums of exp(j (2 pi h t / period + phase)) over a period, (..., time)."""
+    """Compute the sums of exp(j (2 pi h t / period + phase)) over a period, (..., time)."""
     spectrum = np.zeros((*phases.shape[:-1], period), complex)
     spectrum[..., harmonics] = np.exp(1j * phases)
     return period * np.fft.ifft(spectrum)
 
 
 def _with_low_peaks(phases, harmonics, m):
-    """Phases (..., harmonic) from others on, for which none of the m turns has high peaks."""
-    # The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
-    # Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
-    # swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988).
+    """Improve phases (..., harmonic), so that none of the m experiments has high peaks."""
+    # The signal is clipped, less and less, and the phases of the clipped signal are taken, as by
+    # Van der Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency
+    # domain swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988).
     period = next_fast_len(8 * harmonics[-1])
     turns = np.exp(2j * np.pi * np.arange(m) / m)
     best, lowest = phases, np.full((*phases.shape[:-1], 1), np.inf)
@@ -213,7 +215,7 @@ def with_excitation(
     loop: Loop,
     limits: dict[str, tuple[float, ...]] | None = None,
 ) -> xr.Dataset:
-    """Note in trials which excitation made them, of which loop, and the limits of its actuators."""
+    """Write the excitation, its loop and the limits of actuators into the metadata of trials."""
     notes = {"excitation": json.dumps(asdict(excitation))}
     if limits:
         notes["actuators"] = json.dumps(limits, ensure_ascii=False)

@@ -1,8 +1,8 @@
-"""P of an excited rig by the robust method, and how wrong the estimate may be.
+"""Estimate P of an excited rig by the robust method, with a radius of error.
 
-At a line, Y_rp is the spectrum of the outputs in period p of realisation r of the phases, (output,
-experiment). W_r is the spectrum of the inputs, (input, experiment). There are m experiments, and R
-realisations of N periods. Then
+At a line, which is an excited frequency, Y_rp is the spectrum of the outputs in period p of
+realisation r of the phases, (output, experiment). W_r is the spectrum of the inputs, (input,
+experiment). There are m experiments, and R realisations of N periods. Then
 
     G_rp = Y_rp W_r^-1,    G_r = mean of G_rp over p,    P = mean of G_r over r,                (1)
     noise^2 = sum_rp ||G_rp - G_r||^2 / (R^2 N (N - 1)),                                        (2)
@@ -19,9 +19,9 @@ radius. The regression (``of="w"``) takes known disturbances as inputs.
 *Variance.* The estimates (2) and (3) scatter like gamma distributions. Their logarithms are
 smoothed over the logarithm of the frequency, by straight lines through the nearest excited
 frequencies. (2) is smoothed as it is. (3) is smoothed relative to (2) and a share of P, and may
-therefore have the same resonances. The variance at a line may be larger than noise makes it at one
-line of 10,000. A disturbance such as a hum is then on this line, and the line keeps its own
-variance.
+therefore have the same resonances. If the variance at a line is so large that noise would cause it
+at one line of 10,000 only, a disturbance such as a hum acts at this line. The line then keeps its
+own variance.
 
 *Radius.* Let d be the number of independent entries of P with errors. In the Frobenius norm,
 ||Delta||^2 / error^2 has an F distribution with 2 d and 2 f degrees of freedom. The Frobenius norm
@@ -44,7 +44,8 @@ from ilctools.response.samples import Assumed, Samples
 
 # NEIGHBOURING_LINES, divided by the number of realisations after the first one, is the number of
 # neighbouring lines with which the variance at a line is smoothed. With fewer lines radii are
-# larger. With more lines variances bend, and what is not linear is alike at neighbouring lines.
+# larger. With more lines, variances are not straight over the frequency, and distortion is alike at
+# neighbouring lines.
 MOSTLY = 3.0  # ratio of distortion to noise above which another amplitude is advised
 NEIGHBOURING_LINES = 8
 
@@ -79,34 +80,34 @@ class ExcitedResponse(Measured):
 
     @property
     def error(self) -> np.ndarray:
-        """Standard deviation of P by noise and by what is not linear, shape (n,)."""
+        """Standard deviation of P by noise and by nonlinearity, shape (n,)."""
         return np.sqrt(self._error[0])
 
     @property
     def distortion(self) -> np.ndarray:
-        """Standard deviation of P by what is not linear, drifts, or settles too late, shape (n,).
+        """Standard deviation of P by nonlinearity, drift or late settling, shape (n,).
 
-        What settles too late had not settled after the first period.
+        Late settling means that a transient had not decayed after the first period.
         """
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
 
     def _variance(self, off, count):
-        """Variance of errors at each line, (n,), but at least the variance of rounding."""
+        """Compute the variance of errors at each line, (n,), at least the variance of rounding."""
         return np.maximum(_squares(off) / count, 1e-24 * _squares(self.response) + 1e-300)
 
     @cached_property
     def _error(self):
-        """The square of `error`, d and f."""
+        """The square of `error`, and d and f, the degrees of freedom of the radius."""
         off, R, noise = self.realisations - self.response, len(self.periods), self.noise**2
         both, size = self._variance(off, R * (R - 1)), _squares(self.response)  # (3)
         shape = noise + max(np.sum(both - noise), 0) / size.sum() * size
         return self._smoothed(off, both, R - 1, shape)
 
     def _smoothed(self, off, variance, freedom, shape=1.0):
-        """Smooth a variance (n,) of errors (..., n, p, m); returned with d, and with f (n,).
+        """Smooth a variance (n,) of errors (..., n, p, m); return it with d and f (n,).
 
-        `freedom` is the number of degrees of freedom of each line. What is smoothed is the ratio of
-        the variance to a `shape`.
+        `freedom` is the number of degrees of freedom of each line. The ratio of the variance to a
+        `shape` is smoothed.
         """
         weights = self._straight()
         mean = np.exp(weights @ np.log(variance / shape)) * shape
@@ -122,7 +123,7 @@ class ExcitedResponse(Measured):
         return np.where(alone, variance, mean), d, np.where(alone, a, f)
 
     def _straight(self):
-        """Weights of the lines for a straight line through the nearest excited lines, (n, n)."""
+        """Compute weights that fit a straight line through the nearest frequencies, (n, n)."""
         x, n = np.log(self.omega), len(self.omega)
         count = max(3, 1 + NEIGHBOURING_LINES // (len(self.periods) - 1))
         weights = np.zeros((n, n))
@@ -138,7 +139,7 @@ class ExcitedResponse(Measured):
         return np.sqrt(square * fdtri(2 * d, 2 * f, 1 - miss))
 
     def _samples(self, confidence):
-        """Samples, also at negative frequencies, and I at zero if the loop has P(0) = I."""
+        """Return samples of P, also at negative frequencies, and I at zero if P(0) = I is known."""
         radius = self.radius(confidence, jointly=True)
         rest = np.eye(*self.response.shape[1:])[None, :][: self.anchored]
         return Samples(
@@ -182,7 +183,7 @@ class ExcitedResponse(Measured):
 
     @property
     def deviations(self) -> str:
-        """How uncertain noise, and what is not linear, make P at the lines, in words."""
+        """A sentence on the standard deviations of P by noise and by nonlinearity."""
         return (
             f"the standard deviation is up to {self.noise.max():.2g} by noise, and up to "
             f"{self.distortion.max():.2g} by nonlinearity or drift"
@@ -196,12 +197,12 @@ class ExcitedResponse(Measured):
 
 
 def _squares(off):
-    """Sum of the squares of errors (..., n, m, m) at each line, (n,)."""
+    """Compute the sum of the squares of errors (..., n, m, m) at each line, (n,)."""
     return np.sum(np.abs(off.reshape(-1, *off.shape[-3:])) ** 2, axis=(0, 2, 3))
 
 
 def _directions(off, near, freedom):
-    """Count independent entries, 1/2 (a real one) to all, of errors (..., n, m, m) of like size."""
+    """Count independent entries of errors (..., n, m, m); a real entry counts as 1/2."""
     parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off.shape[-1] ** 2)
     C = np.tensordot(near, np.einsum("rki,rkj->kij", parts, parts), 1)
     square, squares = np.trace(C, axis1=1, axis2=2) ** 2, np.linalg.norm(C, axis=(1, 2)) ** 2
@@ -224,7 +225,7 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
 
 
 def _spectra(signal, excitation):
-    """Transform a signal, at the lines: (realisation, period, n, channel, experiment)."""
+    """Compute spectra at the lines, (realisation, period, n, channel, experiment)."""
     m = excitation.rows
     channels = signal.shape[-1]
     parts = signal.reshape(-1, m, excitation.periods, excitation.period, channels)

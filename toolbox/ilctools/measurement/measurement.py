@@ -1,4 +1,4 @@
-"""P and its radius from an excited loop, from another record, or from a table.
+"""Measure P and the radius of its error: from an excited loop, another record, or a table.
 
 The notes of :func:`measured_response` state the methods.
 """
@@ -36,23 +36,23 @@ def measured_response(
         A record in which the inputs moved, or several records of one plant, of any lengths. It may
         come from :func:`shake`, from :func:`record` (trials under learning), or from
         :func:`load_log` or :func:`read_table` (a step test, a reference that moves). Or a table of
-        a frequency response; splines connect its frequencies.
+        a frequency response. Splines interpolate between the frequencies of the table.
     of : {"w", "u"}, optional
         The input: w = reference + v of a closed loop, or the commands u. Default: w, if all records
-        have a reference. With `of` or `delay`, a record of :func:`shake` is estimated like any
-        other record.
+        have a reference. If `of` or `delay` is passed, a record of :func:`shake` is estimated like
+        any other record.
     uncertainty : array_like, shape (n,), or float, optional
         For a table only: the radius at its frequencies, or one number relative to sigma_max(P).
         Default: the table counts as exact, although it may contain noise.
     delay : int or array_like, shape (inputs,), optional
-        Number of samples before which y does not answer to an input. Larger delays are searched
-        for. Default: 0.
+        Least delay of each input in samples: y does not respond to an input earlier. Larger delays
+        are searched for. Default: 0.
 
     Returns
     -------
     ExcitedResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise`. An estimate has ``check(log)`` (against another record),
-        ``model()``, ``frd()`` and ``plot()``.
+        The response with its radius, for :func:`synthesise`. An estimate has ``check(log)``
+        (against another record), ``model()``, ``frd()`` and ``plot()``.
 
     Raises
     ------
@@ -83,8 +83,8 @@ def measured_response(
 
     *Radius.* "99 %" is a probability under a prior: coefficients of the model decay and are smooth.
     The radius was scaled on simulated records of many kinds, see docs/estimator.md. A plant that
-    the prior holds to be unlikely may lie outside more often. Examples are a weak mode below the
-    noise, and trials that have converged: record the first trials.
+    the prior holds to be unlikely may lie outside the radius more often. Examples are a weak mode
+    below the noise, and trials that have converged: record the first trials.
 
     *Known disturbances.* A log may contain measured inputs that no loop commands, such as the
     ambient temperature (`disturbances` of :func:`read_table`). Each one is a further input of the
@@ -99,18 +99,20 @@ def measured_response(
     *Trials.* Before a trial, w rests at the reference's first row, and v is zero. Trials without a
     reset are joined. If the log names its loop and its limits, w is reconstructed from the applied
     commands. For other logs, leave out trials with saturated commands. If the first log has a
-    reference, y(t) depends on earlier commands u only; else it depends on u(t), too.
+    reference, y(t) is assumed to depend on earlier commands u only. Otherwise y(t) may also depend
+    on u(t).
 
-    *Excited rigs.* A record of :func:`shake` is estimated in two ways. The regression connects the
-    lines of the excitation, and describes transients, delays and resonances. The lines by
-    themselves (:mod:`ilctools.measurement.excited`) show without a model how much noise there is,
-    and what is not linear. What is not linear widens the radius of the regression
+    *Excited rigs.* A record of :func:`shake` is estimated in two ways. The first way is the
+    regression, which describes P also between the lines (the excited frequencies), and transients,
+    delays and resonances. The second way uses the lines alone
+    (:mod:`ilctools.measurement.excited`). Without a model, the lines show how much noise and how
+    much nonlinearity there is. The nonlinearity widens the radius of the regression
     (:mod:`ilctools.measurement.distortion`). P is then the best linear approximation for signals of
-    the size of the excitation; smaller signals may see another gain. P is taken at the lines
-    alone if their radius is smaller, as for a slow plant with little repeating noise. P is taken
-    there with a warning if the regression does not settle or contradicts the lines. The attribute
-    ``lines`` has P at the lines, ``noise`` and ``distortion``. At the lines alone, known
-    disturbances count as noise, or as what is not linear.
+    the size of the excitation; smaller signals may see another gain. P is taken at the lines alone
+    if their radius is smaller, as for a slow plant with little repeating noise. P is also taken at
+    the lines alone, with a warning, if the regression does not settle or contradicts the lines. The
+    attribute ``lines`` has P at the lines, ``noise`` and ``distortion``. At the lines alone, known
+    disturbances count as noise or as nonlinearity.
 
     Examples
     --------
@@ -121,9 +123,9 @@ def measured_response(
     >>> table = control.frd(control.ss(0.5, 0.5, 1, 0, 1.0), omega)  # or what you measured
     >>> P = measured_response(table, uncertainty=np.full(40, 0.02))
     >>> design = synthesise(P, zero_phase_butterworth(2, 0.1, 1.0), omega)
-    >>> print(P)
+    >>> print(P)  # doctest: +ELLIPSIS
     P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
-    assumed: splines miss P by no more than they miss lines that are left out
+    assumed: between the lines, the error of the splines of P is not larger than ...
     """
     asked = {"of": of, "delay": delay}
     asked = {name: value for name, value in asked.items() if value is not None}

@@ -21,7 +21,7 @@ from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.measurement.arx.trials import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
-FEWEST_SAMPLES = 20  # of a trial
+FEWEST_SAMPLES = 20  # smallest number of samples of a trial
 # A disturbance that moves less than this, relative to its size, is constant except for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
 # The radius is computed from the fourth power of P. If signals move by 1e30 and 1e-30, this power
@@ -38,7 +38,7 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """Inputs and outputs of logs, relative to before each trial, in units of `sizes`."""
+    """Inputs and outputs of logs, as moves from before each trial, in units of `sizes`."""
 
     groups: tuple[Trials, ...]  # one group of trials for each length
     inputs: list[str]
@@ -101,10 +101,10 @@ class Record:
 
 
 class _Moves(NamedTuple):
-    """The signals of a log, (trial, time, channel) each, relative to before each trial."""
+    """The signals of a log, as moves from their values before each trial."""
 
-    u: np.ndarray
-    y: np.ndarray
+    u: np.ndarray  # (trial, time, channel)
+    y: np.ndarray  # (trial, time, channel)
     disturbance: dict[str, np.ndarray]  # (trial, time) each, by name
     titles: tuple[str, ...]  # of the trials, in messages
 
@@ -159,7 +159,7 @@ def _loop_of(log, source):
 
 
 def _moves(name, log, source):
-    """Return inputs, outputs and known disturbances, relative to before each trial."""
+    """Return inputs, outputs and known disturbances, as moves from before each trial."""
     u, before, others = _inputs(name, log, source)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", log.y.values, (*u.shape[:2], "channel"))
@@ -177,10 +177,10 @@ def _moves(name, log, source):
 
 
 def _inputs(name, log, source):
-    """Return the inputs, their rest before a trial, and known disturbances by name.
+    """Return the inputs, a signal with their values before a trial, and known disturbances by name.
 
-    The first row of the second signal is where the inputs rest before a trial. Inputs of a loop
-    that take a reference alone are known disturbances.
+    The first row of the second signal is the value at which the inputs rest before a trial. Inputs
+    of a loop that take only a reference count as known disturbances.
     """
     if source == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and therefore no w: take of = 'u'")
@@ -209,7 +209,7 @@ def _inputs(name, log, source):
 
 
 def _without_rounding(signal):
-    """Return the moves (trial, time) from each trial's first sample; zero if only rounding."""
+    """Return the moves (trial, time) from each trial's first sample; set mere rounding to zero."""
     moves = signal - signal[:, :1]
     return moves * (np.abs(moves).max() > ROUNDING_OF_DISTURBANCE * np.abs(signal).max())
 
@@ -239,7 +239,7 @@ def _samples_of(delay, m):
 
 
 def check_moved(signals, names, what, remedy):
-    """Refuse signals if one of them stands still; they are (trial, time, channel) per record.
+    """Refuse signals of which a channel never moves; they are (trial, time, channel) per record.
 
     A unit in which the moves are too large or too small for floating-point numbers is also refused.
     """
@@ -259,6 +259,6 @@ def check_moved(signals, names, what, remedy):
 
 
 def _sizes(signals):
-    """Root mean square of the moves of signals (trial, time, channel), about each trial's mean."""
+    """Compute the RMS of signals (trial, time, channel) about the mean of each trial."""
     moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
     return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))

@@ -15,7 +15,8 @@ from ilctools.response.measured import Measured, radius_of, with_phase
 class TabulatedResponse(Measured):
     """A table of a frequency response, with what is known about its accuracy.
 
-    If a table has no radius, its values count as exact. Between its frequencies nothing is exact.
+    If a table has no radius, its values count as exact. Between the frequencies of the table,
+    values are interpolated, and are never exact.
     """
 
     estimated = False  # the author of the table determines its unit
@@ -28,7 +29,7 @@ class TabulatedResponse(Measured):
         return self.uncertainty
 
     def _scaled(self, of_P):
-        # the norm of Delta is not more in these units
+        # in these units, the norm of the error is at most this
         widest = self.uncertainty * of_P.max()
         return replace(self, response=self.response * of_P, uncertainty=widest)
 

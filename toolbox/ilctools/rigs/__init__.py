@@ -1,1 +1,1 @@
-"""Experiments on a rig: the protocol of a driver, one trial after the other, where to stop."""
+"""Experiments on a rig: the interface of its driver, the run of trials, and limits that stop it."""

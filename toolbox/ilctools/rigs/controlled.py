@@ -11,8 +11,8 @@ from ilctools.rigs.interrupts import Interrupts
 from ilctools.trials.learn import Part, joined
 from ilctools.trials.start import Start
 
-STANDSTILL = 0.1  # part of a trial for which outputs that are back must stand still
-LONGEST_PAUSE = 2.0  # longest pause until then, in trials
+STANDSTILL = 0.1  # fraction of a trial for which outputs must stand still to end a pause
+LONGEST_PAUSE = 2.0  # longest pause, in lengths of a trial
 
 
 class ControlledRig:
@@ -22,27 +22,28 @@ class ControlledRig:
         self.about = about
         self.interrupts = Interrupts(self.make_safe, about.safe_time)
         self.controller = self.new_controller()
-        self.due: float | None = None  # clock time of the next sample; None: whenever it comes
+        self.due: float | None = None  # clock time of the next sample; None: any time
         self.late: list[float] = []  # by how much each sample of a trial is early or late, s
         self.pause_warning = ""  # of the last pause
         self.place = ""  # trial and sample, as errors state them
 
     def new_controller(self) -> Controller | None:
-        """Make a controller in its initial state; None if the rig has its own."""
+        """Make a controller in its initial state; return None if the rig has its own controller."""
         about = self.about
         return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
 
     def begin(self, trial: int) -> None:
-        """Bring the rig to where trials begin, if it can; the controller then starts afresh."""
+        """Bring the rig to where trials begin, if it can; then reset the controller."""
         self.place = f"trial {trial}"
         if self.about.begin:
             self.interrupts.call(self.about.begin, trial)
             self.controller = self.new_controller()
 
     def pause(self, trial: int, samples: int | None, reference, start: Start) -> str:
-        """Hold a reference before a trial for `samples` samples; None: until the rig stands still.
+        """Hold a reference before a trial for `samples` samples.
 
-        Returns the text of a warning, or "".
+        If `samples` is None, the pause ends when the outputs stand still at the start. Returns the
+        text of a warning, or "".
         """
         flows, length, still = np.zeros(len(self.about.signals.commanded)), self.about.samples, 0
         longest = round(LONGEST_PAUSE * length) if samples is None else samples
@@ -121,7 +122,7 @@ class ControlledRig:
         return part
 
     def reading(self, name: str, values, shape: tuple) -> np.ndarray:
-        """Return what the driver gave as an array; otherwise raise a RigError that says when.
+        """Return the driver's values as an array; raise a RigError if they are not valid.
 
         For one output a number is enough, as :meth:`.Law.next` takes signals (time,) for one
         output.
@@ -152,7 +153,7 @@ class ControlledRig:
         self.interrupts.call(self.about.driver.apply, inputs)
 
     def make_safe(self) -> None:
-        """Leave the rig in a safe state; note in an error meanwhile that it may not be safe."""
+        """Leave the rig in a safe state; if this fails, the error says that it may be unsafe."""
         try:
             if self.about.safe:
                 self.about.safe()

@@ -21,10 +21,10 @@ ROUNDED_SIGNALS = ["v", "u", "delta", "disturbance"]  # the signals that `decima
 
 @dataclass(frozen=True)
 class RigSignals:
-    """Names of the signals that a rig takes, measures and has recorded."""
+    """Names of the signals that a rig takes and measures, and that are recorded."""
 
     outputs: list[str]  # y, in the order of the numbers that `read` returns
-    commands: list[str]  # u if the controller is ours, w if it is the rig's
+    commands: list[str]  # u if our controller runs, w if the rig has its own
     inputs: list[str]  # of the rig, in the order of the numbers that `apply` takes
     controls: list[str]  # u, which a rig reports if the controller is its own; else empty
     commanded: list[str]  # disturbances of the loop that are inputs of the rig
@@ -112,7 +112,7 @@ def described(
         With a CurrentTrialLoop our controller runs and sends u. With a ClosedLoop the controller of
         the rig takes w.
     reference : ndarray, shape (trial, time, output)
-        The reference of all trials. The limits of `stop` follow from it.
+        The reference of all trials, from which the limits of `stop` follow.
     law : Law, optional
         The law, bound to the loop. If the law does not state a limit, the limit of the rig counts.
     goes_on : bool

@@ -49,7 +49,7 @@ def record(
         The record takes its names and units.
     law : Law
         The rig's limits hold for commands that the law does not limit. With ``limits={}`` the law
-        has no limits at all, and a warning comes if the rig saturates. Commands saturate at the
+        has no limits at all, and a warning follows if the rig saturates. Commands saturate at the
         limits of the law, and the observer takes the applied commands. With `path`, L must be a
         LearningFilter, the B K of a design, or a NormOptimal.
     reference, trials :
@@ -64,14 +64,14 @@ def record(
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. If L is None, ILC signal of all trials.
     pause : int, optional
-        Samples between two trials. Default: until the outputs are back and still, but at most two
-        trials; no pause for a rig that has `begin`.
+        Number of samples between two trials. Default: until the outputs are back and still, but at
+        most the length of two trials. A rig that has `begin` makes no pause.
     reset : bool
         False for a rig that never rests, as for :func:`ilctools.run_trials`. Then there is no
         pause, and v is computed while a trial runs.
     decimals : dict, optional
         Number of digits after the point of v, u, delta and measured disturbances. v and u are
-        rounded before they act, so too few digits leave nothing of v. Default: all digits.
+        rounded before they act. With too few digits, v may be rounded to zero. Default: all digits.
     stop : dict, optional
         Lowest and highest value of outputs and commands, by name, beyond which the experiment
         stops. None stands for no limit. Default: outputs may exceed all references by five times
@@ -83,8 +83,8 @@ def record(
     -------
     xarray.Dataset
         As from :func:`ilctools.run_trials`, with the disturbances that are commanded or measured.
-        With limits, `u` is the command that was asked for, and `applied` was sent to the rig. For
-        a ClosedLoop there is neither.
+        With limits, `u` is the command that was asked for, and `applied` was sent to the rig. For a
+        ClosedLoop there is neither `u` nor `applied`.
 
     Raises
     ------
@@ -92,48 +92,50 @@ def record(
         If arguments do not belong together. The error comes before any command is applied.
     RigError
         If a reading is not finite or has the wrong shape. The text begins with the trial and the
-        sample. As any error of a driver or a disk, it has the trials before in its attribute
-        ``trials``, and the trial and the sample in a note.
+        sample. Like any error of a driver or a disk, this error has the earlier trials in its
+        attribute ``trials``, and the trial and the sample in a note.
     StoppedError
-        If a signal is beyond a limit of `stop`. The text says how to go on. It is a RigError.
+        If a signal is beyond a limit of `stop`. The text says how to go on. The class is a subclass
+        of RigError.
 
     Warns
     -----
     UserWarning
         After a trial in which samples were late (if the rig has a clock), in which commands
-        exceeded the rig's limits, or which began elsewhere than the first trial. And once, if the
-        trials do not converge, if an output does not move, or if the plant is not the P of the loop
-        or of the law, see :mod:`ilctools.trials.diagnosis`.
+        exceeded the rig's limits, or which began elsewhere than the first trial. A further warning
+        is given once, if the trials do not converge, if an output does not move, or if the plant is
+        not the P of the loop or of the law, see :mod:`ilctools.trials.diagnosis`.
 
     See Also
     --------
-    run_trials : simulated
-    shake : to measure P
-    load_log : what `path` has
+    run_trials : simulates trials
+    shake : excites a rig, to measure P
+    load_log : loads the log at `path`
 
     Notes
     -----
     *Safety.* ``rig.safe()`` is called after an error, Ctrl-C, ``kill``, the stop of a service, and
-    when a terminal is closed. These signals raise at once in a driver. The driver must not handle
-    SIGTERM or SIGHUP by itself. If the driver swallows the exception, no command follows all the
-    same. While ``safe()`` runs, signals wait until its ``safe_time`` is over, 10 s by default. The
-    next signal then ends ``safe()``, and a message says that the rig may not be safe. In another
-    thread than the main one, signals count when the process ends by Ctrl-C or by its last line;
-    ``kill`` ends the process at once. A forked child leaves the rig to its parent.
+    when a terminal is closed. Such a signal raises an exception at once while a method of the
+    driver runs. The driver must not handle SIGTERM or SIGHUP by itself. Even if the driver swallows
+    the exception, no further command is sent. While ``safe()`` runs, signals wait until its
+    ``safe_time`` is over, 10 s by default. The next signal then ends ``safe()``, and a message says
+    that the rig may not be safe. If the experiment runs in a thread that is not the main thread,
+    the rig is left safe when the process ends by Ctrl-C or by its last line. In this case, ``kill``
+    ends the process at once. A forked child leaves the rig to its parent.
 
     No program can act after ``kill -9``, SIGQUIT, a crash of Python or of the machine, or a power
-    cut. The rig then stays at the last command. Ctrl-Z leaves it there until ``fg``. For these
-    cases, let a watchdog on the rig switch off if no command has come for some samples.
+    cut. The rig then stays at the last command. After Ctrl-Z, the rig stays there until ``fg``. For
+    these cases, let a watchdog on the rig switch off if no command has come for some samples.
 
     *Logs.* The trials of an existing log must be of the same experiment. A last trial that is torn,
-    or shorter than the first one, is dropped with a warning. No check can know whether the plant
-    and a commanded disturbance are still the same, except the trials that follow. If the log has
-    `trials` or more, none is run, and all are returned; the folder may then be read only. While an
-    experiment runs, no other process can record to its log, and no other program must write to it.
-    A link is followed. A relative path counts from the working directory at the call. Without
-    reset, an experiment that goes on in its log begins anew with what was learned. The log
-    does not say where this happened, and `replay` and `measured_response` take the log for one run.
-    Use another path then.
+    or shorter than the first one, is dropped with a warning. No check can find out whether the
+    plant and a commanded disturbance are still the same. Only the trials that follow show this. If
+    the log already has `trials` trials or more, no trial is run, and all of them are returned. The
+    folder may then be read-only. While an experiment runs, no other process can record to its log,
+    and no other program must write to it. A link is followed. A relative path counts from the
+    working directory at the call. Without reset, an experiment that is continued in its log begins
+    a new run, with the v that was learned. The log does not say where the new run begins, and
+    `replay` and `measured_response` treat the log as one run. In this case, use another path.
 
     Examples
     --------
@@ -176,7 +178,7 @@ def record(
 
 
 def _checked_pause(pause: int | None, about: RigDescription) -> int | None:
-    """Check the number of samples between two trials; None: until the outputs are back."""
+    """Check the length of a pause in samples; None stands for "until the outputs are back"."""
     if about.goes_on and pause is not None:
         raise ValueError(
             f"reset = False, but pause = {pause}: without reset there is no pause "

@@ -1,4 +1,4 @@
-"""Handle signals that end a process: the run ends, and its rig is left safe before it ends."""
+"""Handle signals that end a process: the run stops, and the rig is left safe first."""
 
 import atexit
 import math
@@ -17,7 +17,7 @@ WAIT_NOTICE = b"\nsignal noted, wait: the rig is being left safe\n"
 
 
 class Interrupts:
-    """Notes signals that end a process; afterwards only `safe` of the driver is called.
+    """Record signals that end a process; after a signal, only `safe` of the driver is called.
 
     A signal during a call of the driver raises at once, because the driver may hang. Elsewhere a
     signal does not raise: the exception could be swallowed, as in a destructor, or leave a lock
@@ -30,7 +30,7 @@ class Interrupts:
         self.process, self.is_safe = os.getpid(), threading.Event()
 
     def watch(self) -> None:
-        """Begin to note signals: Ctrl-C always, and others unless somebody handles them.
+        """Begin to note signals: Ctrl-C always, and others unless the program handles them.
 
         Ctrl-C is noted even if asyncio handles it. A handler that C code has installed, which
         `getsignal` gives as None, is left alone.
@@ -45,7 +45,7 @@ class Interrupts:
                     self.handlers[number] = handler  # it is replaced now, and must be restored
 
     def note(self, number, frame) -> None:
-        """Handle a signal."""
+        """Note a signal; raise KeyboardInterrupt if signals may raise now."""
         self.number = self.number or number
         if time.monotonic() > self.until:
             raise KeyboardInterrupt
@@ -53,7 +53,7 @@ class Interrupts:
             os.write(2, WAIT_NOTICE)
 
     def call(self, method: Callable, *arguments):
-        """Call a method of the driver, during which signals raise; return its result."""
+        """Call a method of the driver, and return its result; signals raise during the call."""
         try:
             self.until = -math.inf
             if self.number:

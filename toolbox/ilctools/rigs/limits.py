@@ -6,7 +6,7 @@ from ilctools.loop.closed import Loop
 from ilctools.trials.start import largest_by_unit
 
 # Commands may be beyond the limits of an actuator by this many times its range. The commands of a
-# working loop are not.
+# working loop stay far below.
 WIDE_COMMAND = 49.5
 # Outputs may be beyond all references by this many times the largest reference.
 FAR_OUTPUT = 5.0

@@ -16,15 +16,16 @@ class Rig(Protocol):
     - ``inputs``: names of the numbers that ``apply`` takes. Default: the loop's controls, or its
       references.
     - ``limits``: a dict of the lowest and the highest number that the rig can apply, by the name of
-      the input. Commands saturate there, and the observer (16) gets the saturated commands.
+      the input. Commands saturate there, and the observer, (16) of the paper, gets the saturated
+      commands.
     - ``Ts``: the sampling period of the rig, s.
     - ``measured``: a dict of other measured quantities by name, such as the temperature of the
       room.
     - ``safe()``: leaves the rig in a safe state. Without this method, zeros are applied.
     - ``safe_time``: the time in s that ``safe()`` may take before a signal ends it. Default: 10 s.
     - ``begin(trial)``: brings the rig into the state in which every trial begins, for example by a
-      homing run. The controller then starts afresh, too.
-    - ``clock()``: the time in s by which samples are on time or not, such as ``time.monotonic``.
+      homing run. The controller is then reset, too.
+    - ``clock()``: a clock in s, such as ``time.monotonic``, by which late samples are found.
 
     See Also
     --------

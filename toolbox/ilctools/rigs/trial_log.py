@@ -22,7 +22,7 @@ def log_path(path) -> Path:
 
 
 def without_others(path: Path) -> AbstractContextManager:
-    """Keep other processes from the log at `path`."""
+    """Lock the log at `path` against other processes that would record to it."""
     busy = (
         f"another process records to path = '{path}': wait until it has ended, or give another path"
     )

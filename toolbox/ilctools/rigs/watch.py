@@ -21,7 +21,10 @@ EACH_TRIAL = {"pause", "clock", "rig"}  # kinds of warnings in each trial; other
 
 
 def warn_once(texts: dict[str, str], kinds_warned_of: set[str]) -> None:
-    """Give each warning whose text is not empty; most kinds once, noted in `kinds_warned_of`."""
+    """Give each warning that has a text, but most kinds of warnings only once.
+
+    The kinds that were given are kept in `kinds_warned_of`.
+    """
     for kind, text in texts.items():
         if text and kind not in kinds_warned_of:
             warn(text)

@@ -1,1 +1,1 @@
-"""Trials under the law: simulated, carried to another task, diagnosed from their signals."""
+"""Trials under a law: simulate them, transfer them to another task, and diagnose them."""

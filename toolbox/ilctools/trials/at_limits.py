@@ -33,7 +33,7 @@ def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
 
 
 def stands_still(trials: xr.Dataset, law: Law) -> str:
-    """Warn if the last trials made almost nothing of the law's change, and say why."""
+    """Warn if the last trials applied almost nothing of the law's change, and say why."""
     kept, parts = law.output_limits, parts_of(trials)[-STILL - 1 :]
     alike = all(np.array_equal(part["reference"], parts[0]["reference"]) for part in parts)
     if kept is None or law.L is None or len(parts) <= STILL or not alike:

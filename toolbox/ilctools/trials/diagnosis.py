@@ -1,4 +1,4 @@
-"""Tests of trials for convergence: *the error grows*, *the plant is not the model*, *dead*.
+"""Test trials: does the error grow, does the plant differ from the model, is an output dead?
 
 Let P be the response of the loop, and e_free the error without learning. If the ends of a trial
 are neglected, trial k obeys
@@ -11,16 +11,16 @@ recorded v, the model predicts the error
 
     e_{k+1} = e_free - P v_{k+1},    e_free = e_k + P v_k.                                     (2)
 
-The plant is not the model where errors exceed both (1) and (2) by more than noise explains. The
-error grows where its RMS rises by more than noise explains. The size of the noise is estimated from
-the trials themselves. Noise is whatever does not repeat and v does not explain; any spectrum is
-allowed.
+The plant is said to differ from the model if errors exceed both (1) and (2) by more than noise
+explains. The error is said to grow if its RMS rises by more than noise explains. The size of the
+noise is estimated from the trials themselves. Noise is whatever does not repeat and v does not
+explain; any spectrum is allowed.
 
 P is taken from the design, with its radius, or else from the loop. If the loop has no P, nothing is
 known about the error of the P in the law. Then (2) is taken for all plants (I + Delta) P with a
-relative error ||Delta|| of at most PLANT_ERROR. These plants change the prediction by that fraction
-of P (v_{k+1} - v_k). A plant that is wrong by a quarter learns more slowly and gives no warning. A
-signal in another unit, whose Delta is near -I, gives a warning.
+relative error ||Delta|| of at most PLANT_ERROR. These plants change the prediction by at most
+PLANT_ERROR times P (v_{k+1} - v_k). A plant that is wrong by a quarter learns more slowly and gives
+no warning. A signal in another unit, whose Delta is near -I, gives a warning.
 
 An output is dead if it does not move in a trial in which P predicts a movement.
 """
@@ -55,8 +55,8 @@ from ilctools.units import by_unit
 SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
 NOTABLE_GROWTH = 1.5  # ratio of RMS errors that is worth a warning,
 RISES = 3  # if the error rose so many times in succession;
-JUMP = 3.0  # ratio to the largest error before, if it rose once: a new disturbance is no divergence
-AMPLIFICATION = 5.0  # learning amplifies white noise: errors below so many times the noise are fine
+JUMP = 3.0  # ratio to the largest earlier error if it rose once, as by a new disturbance
+AMPLIFICATION = 5.0  # errors below so many times the noise are fine: learning amplifies noise
 EXCESS = 0.05  # smallest error beyond the predicted one that counts, relative to the first error
 PLANT_ERROR = 0.5  # allowed relative error of P, if only the law has a P
 STILL = 0.05  # smallest predicted movement of an output that must show, relative to the reference's
@@ -106,7 +106,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
 
 
 def _first_finding(test, trials, first):
-    """Return what a test finds first in successive trials, by outputs of one unit, as numbers."""
+    """Return the first finding of a test in successive trials, by groups of one unit."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
     for channels in groups:
         alike = trials.isel(channel=channels)
@@ -118,7 +118,7 @@ def _first_finding(test, trials, first):
 
 
 def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
-    """Add to trials what (23) removes from v, (1 - Q) v, and what (23) adds to v, Q L e."""
+    """Add to trials the signals that the law removes from v, (1 - Q) v, and adds, Q L e."""
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
     axes = trials.v.dims
@@ -153,7 +153,8 @@ def error_grows(trials: xr.Dataset) -> dict:
 def first_judged(trials: xr.Dataset) -> int:
     """Find the first trial in which Q removes from v little more than learning adds.
 
-    In the trials before, Q still removes the v of another law or task. If e = -P v, the condition
+    The trials before this trial are not judged. In these trials, v still contains a signal that
+    another law or another task has left, and Q removes this signal. If e = -P v, the condition
     sigma_max(M) >= 1 means |Q L e| >= |(1 - Q) v|.
     """
     signals = (trials[name].values for name in ("forgotten", "learned"))
@@ -162,7 +163,7 @@ def first_judged(trials: xr.Dataset) -> int:
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
-    """Probability that errors of equal variance are in increasing order and reach this ratio.
+    """Compute the probability that errors of equal variance increase and reach this ratio.
 
     The ratio of two mean squares with `freedom` degrees of freedom has an F distribution. The
     largest and the smallest are one of n (n - 1) ordered pairs (Bonferroni). Whatever their sizes
@@ -193,12 +194,12 @@ def known_plants(law: Law) -> list[Callable]:
 
 
 def _region(law):
-    """The plants of the design of a law; a file has them only if it has limits of outputs."""
+    """Return the plants of a law's design; a file has them only with limits of outputs."""
     return law.region or (law.output_limits and law.output_limits.region)
 
 
 def model_in(L) -> control.StateSpace | None:
-    """The model of norm-optimal learning or of the base B of L, in the outputs' own units.
+    """Return the model in norm-optimal learning or in the base B of L, in the outputs' own units.
 
     If B has several plants, the model is their mean, E^T P in the notation of :mod:`ilctools.base`.
     A diagonal filter of several channels has no model, because the coupling is not known.
@@ -216,7 +217,7 @@ def model_in(L) -> control.StateSpace | None:
 
 
 def plant_error(law: Law) -> float:
-    """Relative error of P that gives no warning: zero if the loop has a P or P has a radius."""
+    """Return the relative error of P that is allowed; zero if the loop has a P or P a radius."""
     model, radius = getattr(law.loop, "P_v", None), getattr(_region(law), "radius", None)
     return PLANT_ERROR if model is None and radius is None else 0.0
 
@@ -269,7 +270,7 @@ def dead_outputs(trials: xr.Dataset) -> dict:
 
 
 def largest_M(law: Law, P: Callable) -> np.ndarray:
-    """Compute sigma_max(M) on GRID, the largest value within the radius of P."""
+    """Compute the largest sigma_max(M) within the radius of P, at the angles of GRID."""
     omega = GRID / law.Ts
     response, radius = P(omega)
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)
@@ -279,11 +280,11 @@ def largest_M(law: Law, P: Callable) -> np.ndarray:
 def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -> dict:
     """Compare the error of trial k with the error of trial `before`, octave by octave.
 
-    Errors are relative to the error of trial `before`. Octaves end at `frequency`, in rad/s. The
-    value `predicted` follows from (2), with the ends of the trial and with the error that P may
-    have. The value `bound` is the larger of `predicted` and the bound by (1), from sigma_max(M) and
-    from what Q leaves. The value `measured` is the error of trial k. The value `excess` is the RMS
-    by which the measured error exceeds the bound.
+    Errors are relative to the error of trial `before`. The value `frequency` is the upper end of
+    each octave, in rad/s. The value `predicted` follows from (2), with the ends of the trial and
+    with the error that P may have. The value `bound` is the larger of `predicted` and the bound by
+    (1), from sigma_max(M) and from what Q leaves. The value `measured` is the error of trial k. The
+    value `excess` is the RMS by which the measured error exceeds the bound.
     """
     e, kept, first = trials.e.values, trials.kept.values, octaves(trials.e.shape[1])
     frequency = first * 2 * np.pi / e.shape[1]  # times Ts
@@ -308,11 +309,11 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
 def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
     """Test errors, octave by octave (F test), against the prediction from an earlier trial.
 
-    The last trial is compared with the one before and with the best trial so far. The second trial
-    is compared with the first, from which most is to be learned. The null hypothesis is that trials
-    differ from the model's prediction for three reasons only. The first reason is noise that is
-    independent from trial to trial. The second reason is a model error that the bound allows. The
-    third reason is a disturbance that grows by the same amount in each trial.
+    The last trial is compared with the trial before, and with the trial of the smallest error so
+    far. The second trial is compared with the first, because most is learned in this step. The null
+    hypothesis is that trials differ from the model's prediction for three reasons only. The first
+    reason is noise that is independent from trial to trial. The second reason is a model error that
+    the bound allows. The third reason is a disturbance that grows by the same amount in each trial.
     """
     e, size, last = trials.e.values, rms_of(trials.e).values, len(trials.e) - 1
     if last < 2:  # the noise is estimated from two changes or more
@@ -353,18 +354,18 @@ def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def degrees_of_freedom(power, first=(0,)) -> np.ndarray:
-    """Degrees of freedom of a mean square in each octave, from its spectrum (harmonic, channel)."""
+    """Compute degrees of freedom of a mean square by octave, from power (harmonic, channel)."""
     total, squares = (np.add.reduceat(values.sum(axis=1), first) for values in (power, power**2))
     return np.maximum(2, 2 * total**2 / np.maximum(squares, SMALLEST_DIVISOR))
 
 
 def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
-    """Probability, for each octave, that noise alone exceeds the prediction as far as this.
+    """Compute, for each octave, the probability that noise alone causes such an excess.
 
     The square of the excess has the n degrees of freedom of one trial in this octave. The variance
     is estimated from `trials` changes between trials. The variance has `trials` times n degrees of
     freedom, less 2 for a gain and a phase. Bonferroni corrects for the number of octaves, because
-    any of them may exceed.
+    any octave may show an excess.
     """
     others = trials * freedom - 2
     F = excess**2 / variance * others / (trials * freedom)

@@ -1,4 +1,4 @@
-"""The loop of iterative learning, Section IV, for trials on a model or on a rig."""
+"""The loop of iterative learning, Section IV of the paper, for trials on a model or on a rig."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -16,18 +16,18 @@ from ilctools.trials.transfer import first_signal
 
 BETWEEN_TRIALS = ("law", "transfer")  # what computes v if the reference changes
 TRANSFER = BETWEEN_TRIALS[1]
-ROUNDED_PILOT = 1e-3  # fraction of the reference: a rig may round v to few digits
+ROUNDED_PILOT = 1e-3  # tolerance relative to the reference, because a rig may round v
 
 Part = dict[str, np.ndarray]  # signals of a trial, or of a part of one, shape (time, channel)
 
 
 class Asked(NamedTuple):
-    """What trials are to do: the law, the references and the first v."""
+    """The checked task of an experiment: the law, the references and the first v."""
 
     law: Law
     reference: np.ndarray  # (trial, time, p), with numbers between points
     first: np.ndarray  # v of the first trial, (time, m)
-    points: np.ndarray | None  # (time, p): where something is asked; None: everywhere
+    points: np.ndarray | None  # (time, p): where a reference is given; None: everywhere
 
 
 def asked_of(
@@ -55,7 +55,7 @@ def asked_of(
 
 
 def _first_share(law, reference, v, pilot):
-    """The share of the reference that drives trial 1, by its v; None if v is given or zero."""
+    """Return the share of the reference that drives trial 1; None if v is given or zero."""
     added = law.loop.one_for_one
     if pilot is not None:
         pilot = arguments.number("pilot", pilot, "a share in (0, 1]", 0, most=1)
@@ -71,7 +71,7 @@ def _first_share(law, reference, v, pilot):
 
 
 def check_between(between: str, loop: Loop, reset: bool) -> None:
-    """Refuse a `between` that the loop cannot do between trials of different references."""
+    """Refuse a value of `between` that the loop, or trials without reset, do not permit."""
     arguments.choice("between", between, BETWEEN_TRIALS)
     if between == TRANSFER and not (loop.one_for_one and reset):
         raise ValueError(
@@ -113,6 +113,8 @@ def learn(
 ) -> list[Part]:
     """Learn to follow a reference (time, p), in parts; with a reset, each part is a trial.
 
+    The equations are those of the paper:
+
         w_k = r + v_k, or F r + G v_k                                                        (22)
         v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
 
@@ -139,7 +141,7 @@ def next_v(
     parts: Sequence[Part],
     upcoming: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Compute the next v by (23), from the parts so far.
+    """Compute the next v by (23) of the paper, from the parts so far.
 
     Without reset, v is returned for as many samples as the parts determine. If the reference
     changes and `between` is "transfer", :func:`.transfer` computes v from all parts instead.
@@ -180,7 +182,7 @@ def next_step(
 
 
 def _pilot(law, first):
-    """The part of the first v that reduces the reference to a share; zero for any other v."""
+    """Return the part of the first v that reduces the reference to a share; else zero."""
     v, rise = first["v"], first["reference"] - first["reference"][0]
     if law.output_limits is None or v.shape != rise.shape or not rise.any():
         return np.zeros_like(v)
@@ -190,7 +192,7 @@ def _pilot(law, first):
 
 
 def _effect(law, v):
-    """The response of the nominal plant to v."""
+    """Compute the response of the nominal plant to v."""
     if not v.any():
         return 0.0
     region = law.output_limits.region
@@ -205,7 +207,7 @@ def applied_v(law: Law, signals: Part) -> np.ndarray:
 
 
 def _last(parts, samples):
-    """The last parts, which together have at least `samples` samples."""
+    """Return the last parts, which together have at least `samples` samples."""
     done = np.cumsum([len(part["v"]) for part in reversed(parts)])
     return parts[-1 - np.searchsorted(done, samples) :]
 

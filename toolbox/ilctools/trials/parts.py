@@ -1,4 +1,4 @@
-"""Trials that have ended, in parts: the signals of each trial, or from one rest to the next."""
+"""Split recorded trials into parts: each trial, or all samples from one rest to the next."""
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ def from_rest_to_rest(trials: xr.Dataset) -> list[Part]:
 
 
 def successions(trials: xr.Dataset) -> np.ndarray:
-    """For each trial, return the index of the first successive trial with the same reference.
+    """Return, for each trial, the index of the trial with which its reference began.
 
     Without reset, the first trial counts as a succession of its own, because only the first trial
     starts from rest.

@@ -15,8 +15,8 @@ def filled(reference):
 
     Between points, the reference runs along straight lines, and is constant after the last point. A
     loop whose v is added to the reference is driven by these numbers. Labels are kept. Returns the
-    reference with numbers everywhere, and one where a number was given, zero elsewhere. A reference
-    without NaN is returned unchanged, with None.
+    reference with numbers everywhere, and a mark, which is one where a number was given and zero
+    elsewhere. A reference without NaN is returned unchanged, with None as mark.
     """
     values = np.array(reference, dtype=float) if _may_hold_numbers(reference) else np.zeros(0)
     absent = np.isnan(values)

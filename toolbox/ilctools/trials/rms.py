@@ -1,4 +1,4 @@
-"""How large the signals of trials are: their RMS, by harmonics and octaves, and their noise."""
+"""Compute the size of the signals of trials: RMS, harmonics, octaves, and noise."""
 
 import numpy as np
 import xarray as xr
@@ -91,6 +91,6 @@ def rms_by_octave(signal) -> np.ndarray:
 
 
 def noise_std(signals) -> np.ndarray:
-    """Estimate the standard deviation of white noise in signals (time, channel) by differences."""
+    """Estimate the standard deviation of white noise in signals (time, channel)."""
     bends = np.diff(signals, 2, axis=0)
     return np.sqrt(np.sum(bends**2, axis=0) / (6 * max(1, len(bends))))

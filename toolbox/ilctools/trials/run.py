@@ -1,7 +1,8 @@
-"""Simulated trials of the loop (19) under the ILC law, Section IV.
+"""Simulate trials of the loop (19) under the ILC law, Section IV of the paper.
 
-:func:`.learn` has the equations (22) and (23). Let x be the states of the plant and of the
-observer, whose estimates are x-hat and delta. Let n be the noise of the sensors. A trial obeys
+Equation numbers are those of the paper. :func:`.learn` has the equations (22) and (23). Let x be
+the states of the plant and of the observer, whose estimates are x-hat and delta. Let n be the noise
+of the sensors. A trial obeys
 
     x(p+1) = A x(p) + B w(p) + E d(p) + K n(p),    y(p) = C x(p) + D w(p) + F d(p) + n(p)    (19)
     u(p) = N w(p) - K_s x-hat(p) - delta(p)                                                  (18)
@@ -45,7 +46,7 @@ def run_trials(
     """Simulate trials of a loop under a law: w_k = r + v_k, v_{k+1} = Q (v_k + L e_k).
 
     These are (22) and (23) of the paper, around the loop (19). All trials have the same initial
-    state. For a ClosedLoop whose inputs are named, w_k = F r + G v_k.
+    state. For a ClosedLoop that names the inputs of r and of v, w_k = F r + G v_k.
 
     All signals are in the units of the loop's plant. Labelled signals (columns of a DataFrame, or
     a coordinate of a DataArray) are matched by name. Signals of one channel may have the shape
@@ -59,8 +60,8 @@ def run_trials(
     law : Law
         If the law has limits, commands saturate, and the observer takes the applied commands.
     reference : array_like, shape (time, p) or (trial, time, p)
-        Reference trajectory of all trials, or of each trial. NaN means that nothing is asked at a
-        sample: the error is zero there, and does not count. NaN needs an L of
+        Reference trajectory of all trials, or of each trial. NaN means that no reference is given
+        at a sample: the error is set to zero there, and does not count. NaN needs an L of
         :class:`ilctools.NormOptimal`, and the first sample must be a number. If v is added to the
         reference, straight lines connect the points.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
@@ -70,10 +71,11 @@ def run_trials(
         The plant that is simulated, as in :meth:`CurrentTrialLoop.around`, or another P for a
         ClosedLoop. Default: the plant of the design.
     noise : array_like, shape (trial, time, p), optional
-        Noise of the sensors. Observer and learning see it; for a ClosedLoop only learning does.
+        Noise of the sensors, which the observer and the law see. For a ClosedLoop, only the law
+        sees the noise.
     initial_state : array_like, shape (n,), optional
         State of the simulated plant, or of P, at the start of every trial. The observer does not
-        know it. Default zero.
+        know this state. Default zero.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default: zero, or what `pilot` says.
     reset : bool
@@ -112,9 +114,9 @@ def run_trials(
 
     See Also
     --------
-    record : trials on a rig
-    replay : what a log says of the law
-    rms : the size of their errors
+    record : runs trials on a rig
+    replay : compares a log with its law
+    rms : computes the size of errors
 
     Examples
     --------
@@ -200,7 +202,7 @@ class _Simulated:
         self.reset()
 
     def reset(self):
-        """Begin a trial."""
+        """Return to the initial state, at the beginning of a trial."""
         self.state = self.initial
 
     def part(self, w, d, noise):
@@ -225,7 +227,7 @@ class _Simulated:
         return x, y_and_u[:, :p], y_and_u[:, p:]
 
     def within_limits(self, inputs):
-        """Replace w by the w that asks for the applied commands; return inputs and asked u."""
+        """Replace w by the w that asks for the applied commands; return inputs and requested u."""
         model, outputs, m = self.model, len(self.loop.outputs), len(self.loop.inputs)
         inputs, u = inputs.copy(), np.empty((len(inputs), len(self.loop.commands)))
         x = self.state

@@ -1,4 +1,4 @@
-"""Where trials start: they must start from the same state, or learning in one does not help others.
+"""Check where trials start: if their states differ, learning in one trial does not help others.
 
 The module compares the outputs and the references of later trials with the first start.
 """
@@ -27,7 +27,7 @@ class Start:
     @classmethod
     def of(cls, y, reference, loop: Loop) -> "Start":
         """Take the start of the first trial from its outputs and reference, (time, output)."""
-        noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
+        noise = SURE * np.sqrt(2) * noise_std(y)  # both starts are noisy
         tolerance = NEAR_START * largest_by_unit(reference, loop) + noise
         labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
         return cls(y[0], tolerance, labels)

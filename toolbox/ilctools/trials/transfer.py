@@ -1,14 +1,15 @@
 """The first ILC signal of a new reference, from the trials of other references.
 
-By (30), y_k = P (r_k + v_k) + P~ d in any trial, converged or not. With e_k = r_k - y_k follows
+By (30) of the paper, y_k = P (r_k + v_k) + P~ d in any trial, converged or not. With
+e_k = r_k - y_k follows
 
     v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d.                                (1)
 
 This is the v that would be needed if y_k were the reference. F depends on the plant alone, and c
 compensates a repeating disturbance. Any reference r needs v = F r + c. No model of P is used.
 
-Let F y_k = Phi_k f, where f are the taps of F, and let t_k = v_k + e_k. One ridge regression gives
-both f and c:
+Let F y_k = Phi_k f, where f are the taps (coefficients) of F, and let t_k = v_k + e_k. One ridge
+regression gives both f and c:
 
     minimise  sum_k ||t_k - Phi_k f - c||^2 + lambda f' D f + gamma ||c||^2.                  (2)
 
@@ -20,8 +21,9 @@ minimises, are
 
 Therefore c is a random effect (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). The
 mean over the trials has a larger variance than the deviations from the mean predict. The factor is
-K s_c^2 / s_w^2 + 1 = 1 / rho. L. Blanken and T. Oomen, Automatica 114 (2020) 108830, use kernels
-and one trial.
+K s_c^2 / s_w^2 + 1 = 1 / rho, where s_c^2 is the variance of c, and s_w^2 is the variance of the
+residuals within trials. L. Blanken and T. Oomen, Automatica 114 (2020) 108830, use kernels and one
+trial.
 
 *With a model* M of P, only the unknown part of F is fitted. Let M^+ be the regularised inverse of M
 over a trial, and z_k = M^+ y_k. Then (1) becomes
@@ -30,8 +32,8 @@ over a trial, and z_k = M^+ y_k. Then (1) becomes
 
 where G is near I. Equations (2) to (4) are then used for G - I, with z_k in the place of y_k and
 v_k + r_k - z_k as t_k. A single trial has one number for each output and frequency, but each row of
-G has m. With one trial, G is therefore taken to be diagonal, as if each input had an error of its
-own.
+G has m unknowns. With one trial, G is therefore taken to be diagonal, as if each input had an error
+of its own.
 """
 
 from collections.abc import Sequence
@@ -57,10 +59,10 @@ from ilctools.warn import warn
 LAG_RATIO = 1.5  # ratio of successive lags of F; a larger one gives fewer taps and a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
 WEIGHTS = 10.0 ** np.arange(-10, 1)  # candidates for lambda, in mean squares of the regressors
-STATIC_WEIGHT = 1e6  # weight of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
-DIAGONAL_WEIGHT = 1e6  # weight of coupling in G, a candidate beside 1: as if it were zero,
-PENALTY = 2.0  # unless the other candidate makes each trial so many times as likely
-SMALLEST_GAIN = 0.01  # least inverted gain of M, relative to its largest: below, inputs are noise
+STATIC_WEIGHT = 1e6  # candidate beside 1 for the weight of F(0): F(0) = 0, as if P(0) = I
+DIAGONAL_WEIGHT = 1e6  # candidate beside 1 for the weight of coupling in G: no coupling
+PENALTY = 2.0  # 1 is chosen only if each trial is then so many times as likely
+SMALLEST_GAIN = 0.01  # smallest gain of M that is inverted, relative to the largest gain
 RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial rho is 1
 BLOCKS = 5  # blocks of time for cross-validation
 ROUNDED_POWER = 1e-14  # fraction of the power below which residuals are rounding
@@ -70,7 +72,7 @@ UNCERTAIN = 0.2  # a larger share of v that is uncertain gives a warning
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """The first v for another reference, and how well it is known.
+    """The first v for another reference, and the uncertainty of this v.
 
     Signals have the shape (time, m). The uncertainty has two parts. The jackknife part is from fits
     that leave out one block of time each. The other part is the distance to a fit that uses only
@@ -125,8 +127,8 @@ def transfer(
 
     Notes
     -----
-    The lags of F grow geometrically up to half a trial, with straight lines between, and are
-    weighted as slopes, (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r.
+    F is linear between lags that grow geometrically up to half a trial. Its regressors are slopes,
+    (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r.
     Trials of one task have different v, and trials of different tasks have different references.
     Cross-validation over blocks of time chooses the weights lambda and rho, and whether F(0) = 0.
     Above the cut-off of Q, a law removes v again.
@@ -158,7 +160,7 @@ def transfer(
 
 
 def _signals(trials):
-    """v, y and reference of all trials, (trial, time, output), names of outputs, and the period."""
+    """Return v, y and reference, (trial, time, output), names of outputs, and the period."""
     signals, tasks, periods = ("v", "y", "reference"), [], {}
     for task in trials if isinstance(trials, list | tuple) and trials else [trials]:
         task = arguments.instance("trials", task, xr.Dataset)
@@ -217,7 +219,7 @@ def first_signal(v, y, references, reference, model: Model | None = None) -> np.
 
 
 def _inverse(model, size, samples):
-    """M^+ of (5) over `samples` samples, for signals (time, m) with the sizes (m,)."""
+    """Return a function that applies M^+ of (5) to a signal (time, m) in units of `size`."""
     if model is None:
         return lambda signal: signal
     M = control.ss(
@@ -230,7 +232,7 @@ def _inverse(model, size, samples):
 
 
 def _sizes(signals):
-    """RMS of each channel of trials, (m,); one for a channel that is zero."""
+    """Compute the RMS of each channel of trials, (m,); a channel that is zero counts as one."""
     size = np.sqrt(np.mean(signals**2, axis=(0, 1)))
     size[size == 0] = 1.0
     return size
@@ -257,7 +259,7 @@ def _fitted(v, y, references, reference, model):
 
 
 def _uncertainty(fits, new, by_fit, without, rho):
-    """Change of v without a block of time, or by differences between trials alone, (m,)."""
+    """Compute how v changes without a block of time, or if differences alone are used, (m,)."""
     apart = fits.first_signal(new, without, rho) - by_fit
     jackknife = (1 - 1 / BLOCKS) * np.sum(apart**2, axis=0)
     by_differences, _ = fits.likeliest([0.0])
@@ -266,7 +268,7 @@ def _uncertainty(fits, new, by_fit, without, rho):
 
 
 def _basis(reach):
-    """Basis of F, shape (lags, taps): slopes between lag 0 and other lags, and lag 0 by itself."""
+    """Make the basis of F, (lags, taps): slopes from lag 0 to other lags, and lag 0 by itself."""
     knots = [0, 1]
     while knots[-1] < reach:
         knots.append(min(reach, round(LAG_RATIO * knots[-1])))
@@ -280,7 +282,7 @@ def _basis(reach):
 
 
 def _taps(signal, basis):
-    """Filter a signal (time, m) by each tap, (time, m taps); it is constant beyond its ends."""
+    """Filter a signal (time, m), constant beyond its ends, by each tap, (time, m taps)."""
     reach = len(basis) // 2
     extended = np.pad(signal, [(reach, reach), (0, 0)], mode="edge")
     taps = oaconvolve(extended[..., None], basis[:, None], mode="valid", axes=0)
@@ -288,7 +290,7 @@ def _taps(signal, basis):
 
 
 def _products(columns):
-    """Inner products of the columns in each block of time, shape (blocks, columns, columns)."""
+    """Compute inner products of columns in each block of time, (blocks, columns, columns)."""
     return np.array([block.T @ block for block in np.array_split(columns, BLOCKS)])
 
 
@@ -337,13 +339,13 @@ class _Fits:
         return np.concatenate(f, axis=2)
 
     def squares(self, f):
-        """Sums of squares of t - Phi f, within and between trials; each block has its own f."""
+        """Compute sums of squares of t - Phi f within and between trials, with an f by block."""
         one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
         R = np.concatenate([-f, one], axis=1)  # from (Phi, t) to t - Phi f
         return np.maximum(0, np.sum(R * (self.products @ R), axis=(1, 2)))  # rounding may be < 0
 
     def likelihood(self, rho, static, coupling, weight):
-        """Logarithm of the likelihood of each output, in blocks that the fit left out."""
+        """Compute the log-likelihood of each output, in blocks that the fit left out."""
         without = self.solve(rho, static, coupling, weight)[1:]
         no_F = np.zeros_like(without)
         power = self.squares(no_F).sum(axis=0)

@@ -1,12 +1,13 @@
-"""Delays of the inputs, if correlations show a delay and the posterior is larger with this delay.
+"""Find the delays of the inputs from correlations, and compare the posteriors.
 
-Lags of B are counted from the delay of its input. The delays that are tried are a little less than
-the lag of the largest correlation between an input and the output, or between their moves. In the
+A delay is accepted if the posterior is larger with this delay. The lags of the numerator B of an
+input are counted from the delay of the input. The delays that are tried are a little less than the
+lag of the largest correlation between an input and the output, or between their moves. In the
 spectrum of the correlation, phases have more weight than magnitudes (C. H. Knapp and G. C. Carter,
 IEEE Trans. Acoust. Speech Signal Process. 24 (1976) 320-327).
 
-In the prior, all delays up to the longest trial are equally likely. A delay therefore costs
-log(longest) in (4).
+In the prior, all delays up to the longest trial are equally likely. A delay therefore adds
+log(longest) to the cost (4) in `likelihood`, where longest is the length of the longest trial.
 """
 
 from collections.abc import Sequence
@@ -30,7 +31,8 @@ WHITENING = 0.8
 def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=None) -> Fit:
     """Find the likeliest fit, with the least delays (m + d,) or with delays from correlations.
 
-    `data_of` explains `direct` and `gain`. The cost of a fit is (4) plus the cost of its delays.
+    `data_of` explains `direct` and `gain`. The cost of a fit is (4) in `likelihood`, plus the cost
+    of its delays.
     """
     commanded, longest = groups[0].commanded, longest_of(groups)
     alone = [slice(j, j + 1) for j in range(commanded, len(least))]
@@ -55,7 +57,7 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
 
 
 def _anew(eta):
-    """Start from these hyperparameters, but guess how large B is: without its delay B is lost."""
+    """Return eta with a new guess of the size of B, which a fit without the delay loses."""
     guess = Hyperparameters(*FIRST_GUESSES[0]).log_c_B
     return np.array(Hyperparameters(*eta)._replace(log_c_B=guess))
 

@@ -1,26 +1,27 @@
 """The marginal likelihood of the hyperparameters, and its maximum with the prior.
 
-The unknowns are integrated over, and y is then normal. Equation (3) defines r and U. Among the n
-samples, n_1 belong to means over trials, which have the weight w. The negative logarithm of the
-density of y times the prior of eta is
+After integration over the unknowns x, the output y is normal. Equation (3) in `posterior` defines r
+and U. Of the n samples, n_1 belong to means over trials, which have the weight w. The negative
+logarithm of the density of y times the prior of eta is
 
     n / 2 log r + log |U| - n_1 / 2 log w + |(eta - centre) / width|^2 / 2 -> min,              (4)
 
-because s^2 = r / n is the likeliest. Some entries of eta are relative to the output, see `prior`.
-For these entries, the distance from the centre is the distance of eta + log s^2.
+where s^2 has its likeliest value, r / n. Some entries of eta are relative to the output, see
+`prior`. For these entries, the distance from the centre is the distance of eta + log s^2.
 
 The gradient and the curvature are exact. Let J_k and w_k be the derivatives of log D and of w with
 respect to entry k of eta, z = D^(-1/2) x and V = (U' U)^-1. For means over trials, let
-e_1 = y_1 - X_1 x, g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). Take D^(1/2) (.) D^(1/2)
-as fixed. Then U' U moves by M_k = w_k K - diag(J_k). The product of U' U with z moves by
-q_k = w_k g + diag(J_k) z. The derivatives are
+e_1 = y_1 - X_1 x, g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). If the scaling by D^(1/2)
+is held fixed, the derivative of U' U is M_k = w_k K - diag(J_k). The derivative of the product of
+U' U with z is q_k = w_k g + diag(J_k) z. The derivatives are
 
     dr = w_k e_1' e_1 - z' diag(J_k) z,          d^2 r = -2 q_k' V q_l + ...,
     d log |U| = (tr V M_k + sum of J_k) / 2,     d^2 log |U| = -tr(V M_k V M_l) / 2 + ...,     (4a)
 
-where the dots are what the curvature of D and of w adds to the slopes.
+where the dots stand for terms with second derivatives of log D and of w.
 
-(4) may have one minimum with a drift and another one without. The search starts near both.
+(4) may have one minimum with a drift and another one without. The search starts near both
+minima.
 """
 
 from functools import cached_property, lru_cache
@@ -42,7 +43,8 @@ from ilctools.measurement.arx.regressors import Data
 from ilctools.measurement.arx.unknowns import Kind
 
 # Options of Newton's method with a trust region: eta may move by the largest radius at once, which
-# is a factor of 400 in variance. If the gradient is below gtol, `NEWTON_STEPS` lead to rounding.
+# is a factor of 400 in variance. If the gradient is below gtol, `NEWTON_STEPS` more steps are exact
+# up to rounding.
 SEARCH = {"initial_trust_radius": 2.0, "max_trust_radius": 6.0, "gtol": 1e-2, "maxiter": 60}
 NEWTON_STEPS = 3
 LONGEST_NEWTON_STEP = 1.0  # of each hyperparameter
@@ -87,7 +89,7 @@ class Likelihood:
         return self._slopes.second
 
     def _of_parts(self):
-        """Compute by (4a) the slopes of r, and the slopes of log |U| - n_1 / 2 log w."""
+        """Compute by (4a) the derivatives of r, and those of log |U| - n_1 / 2 log w."""
         data, at, z = self.data, self._at, self._at.z
         J, curved = _slopes_of_log_D(self.eta, data.layout)
         half = at.inverse()
@@ -105,7 +107,7 @@ class Likelihood:
         return r, log_U
 
     def _add_means(self, V, J, r, log_U, q, traces):
-        """Add to the slopes what rho contributes, as rho moves the weight of means."""
+        """Add to the derivatives the terms of rho, which determines the weight of means."""
         data, at, w = self.data, self._at, self._at.weight
         residual = np.append(-at.root_D * at.z, 1.0)
         products = data.means @ residual  # [X_1, y_1]' e_1
@@ -124,7 +126,7 @@ class Likelihood:
 
 
 def _slopes_of_log_D(eta, layout):
-    """Compute J, (unknown, entry), and the curvature of log D over log T, (unknown,)."""
+    """Compute J, (unknown, entry), and the second derivative of log D by log T, (unknown,)."""
     of_D = prior(Hyperparameters(*eta), layout)
     kinds = [NAMES.index(kind.hyperparameter) for kind in Kind]
     J = np.zeros((layout.size, len(NAMES)))
@@ -198,7 +200,7 @@ def newton(at: Likelihood) -> Newton:
 
 
 def polished(fit: Fit) -> tuple[Fit, np.ndarray]:
-    """Refine a fit to rounding; returned with S, where the curvature of (4) is (S S)^-1.
+    """Refine a fit up to rounding; also return S, where the curvature of (4) is (S S)^-1.
 
     The estimate then does not depend on where a search ends.
     """

@@ -6,7 +6,7 @@ With the regressors X, the output y and the variances D of the prior, all in uni
     s^2 = r / n,    r = y' y - h' h,
 
 x is the mean of the unknowns, and s^2 D^(1/2) (U' U)^-1 D^(1/2) is their covariance. The products
-X' X, X' y and y' y of means over trials have a weight.
+X' X, X' y and y' y of means over trials are multiplied by a weight.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from ilctools.measurement.arx.regressors import Data
 # Added to the diagonal of U' U, relative to the diagonal. Rounding in Cholesky's method is a few
 # hundred times 1e-16 of the diagonal. U' U thus stays positive definite even without noise.
 CHOLESKY_ROUNDING = 1e-12
-# Least r relative to y' y, where means have a weight of one: rounding counts as noise.
+# Smallest r, relative to y' y with a weight of one for means: a smaller r would be rounding.
 LEAST_RESIDUE = 1e-14
 
 
@@ -60,7 +60,7 @@ class Posterior(NamedTuple):
 
 
 def posterior(eta: np.ndarray, data: Data) -> Posterior:
-    """Compute (3) at one vector of hyperparameters."""
+    """Compute the posterior (3) at one vector of hyperparameters."""
     eta = Hyperparameters(*eta)
     weight = eta.weight if data.n_1 else 1.0
     root_D = np.exp(prior(eta, data.layout).log_D / 2)

@@ -11,9 +11,9 @@ lag to lag, the covariance is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-and D = c for slow parts and the steps of a drift. The response to the initial condition decays only
-from the latest delay on. The response includes the effect of an input that rested elsewhere before.
-The noise e is white with variance s^2.
+where gap is the distance to the next lag. For slow parts and the steps of a drift, D = c. The
+response to the initial condition decays only from the latest delay on. This response includes the
+effect of an input that had another value before the trial. The noise e is white with variance s^2.
 
 The hyperparameters are logarithms. In the prior they are normal and independent, see `ASSUMED`.
 """
@@ -87,7 +87,7 @@ def standardised(eta: np.ndarray, variance: float) -> np.ndarray:
 
 
 class Prior(NamedTuple):
-    """The prior (2) of each unknown."""
+    """The prior variances (2) of the unknowns, and their derivatives."""
 
     log_D: np.ndarray  # (unknown,)
     slope: np.ndarray  # derivative of log D over log T, (unknown,)

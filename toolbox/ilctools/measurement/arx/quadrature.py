@@ -1,15 +1,16 @@
 """The covariance of the unknowns, integrated over the hyperparameters.
 
-Near the likeliest eta, the hyperparameters are taken to be normal. Their covariance is the inverse
-S S' of the curvature of (4). A cubature rule integrates over the hyperparameters by the points
+Near the likeliest eta, the hyperparameters are taken to be normally distributed with the covariance
+S S'. This covariance is the inverse of the curvature (the matrix of second derivatives) of the cost
+(4) in `likelihood`. A cubature rule integrates over the hyperparameters by the points
 
     eta + HEAVY sqrt(d) S_k,    eta - HEAVY sqrt(d) S_k,    k = 1 ... d,                        (5)
 
 where d is the number of entries and S_k are the columns of S (I. Arasaratnam and S. Haykin, IEEE
 Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one). At each point the unknowns have a
-mean and a covariance (3). The covariance over all points has two parts. The first part is the mean
-of the covariances. The second part is the mean square of the difference between each mean and the
-mean at the likeliest eta. No number is random.
+mean and a covariance, by (3) in `posterior`. The covariance over all points has two parts. The
+first part is the mean of the covariances. The second part is the mean square of the difference
+between each mean and the mean at the likeliest eta. No number is random.
 """
 
 import numpy as np
@@ -18,11 +19,11 @@ from ilctools.measurement.arx.posterior import posterior
 from ilctools.measurement.arx.prior import LARGEST_LOGARITHM
 from ilctools.measurement.arx.regressors import Data
 
-HEAVY = 1.2  # tails of eta, relative to normal ones: found by counting
+HEAVY = 1.2  # width of the tails of eta, relative to normal ones, found by counting
 
 
 def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
-    """Compute the covariance of x over the points, (unknown, unknown)."""
+    """Compute the covariance of the unknowns x over the points (5), (unknown, unknown)."""
     apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])  # (5); S is symmetric
     points = np.clip(eta + apart, -LARGEST_LOGARITHM, LARGEST_LOGARITHM)
     mean, C = posterior(eta, data).mean, 0.0

@@ -1,4 +1,4 @@
-"""The estimator: P of one output from any signals, and how wrong the estimate may be.
+"""Estimate P of one output from any signals, and how wrong the estimate may be.
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
@@ -7,18 +7,18 @@ known disturbance has a B of its own, which is estimated like the others. The re
 commanded inputs is P = B / A. Each step has a module in this folder:
 
 =============  =====================================================================  ==========
-trials         a mean and differences of trials, one by one
+trials         the mean of trials and their differences, one by one
 unknowns       what is estimated: A, each B with slow parts, starts and drifts        (1)
-regressors     X of them, and the products X' X and X' y
+regressors     the columns X of the unknowns, and the products X' X and X' y
 prior          variances of the unknowns, by hyperparameters eta                      (2)
-posterior      of the unknowns, at one eta                                            (3)
-likelihood     of eta, its gradient and its maximum                                   (4)
-delay          of each input, if the posterior is larger with this delay
+posterior      mean and covariance of the unknowns, at one eta                        (3)
+likelihood     the likelihood of eta, its gradient and its maximum                    (4)
+delay          the delay of each input, if the posterior is larger with it
 quadrature     the covariance of the unknowns over eta                                (5)
 regression     P, and the covariance of its error                                     (6)
 =============  =====================================================================  ==========
 
-*Error of P.* To first order it is normal,
+*Error of P.* To first order, the error of P is normally distributed,
 
     dP_j = (dB_j - P_j dA) / A.                                                                 (6)
 """
@@ -45,7 +45,7 @@ FOLDED = 1e-10
 
 
 class ErrorOfP(NamedTuple):
-    """The error of P by (6), from the covariance of the unknowns, at n angles omega Ts."""
+    """Covariances of the error of P, by (6) from that of the unknowns, at n angles omega Ts."""
 
     of_P: np.ndarray  # covariance of dP, real parts first, (n, 2 m, 2 m)
     of_A: np.ndarray  # variances of the real and the imaginary part of dA / A, (2, n)
@@ -105,7 +105,7 @@ class Regression:
 
     @property
     def grows_at(self) -> float:
-        """The angle omega Ts about which the estimate of A turns, if the estimate is unstable."""
+        """The angle omega Ts at which the phase of A turns most, if the estimate is unstable."""
         turns = self._turns
         return np.pi * np.argmax(np.sign(turns.sum()) * turns) / len(turns)
 
@@ -148,7 +148,7 @@ class Regression:
     def residual(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Compute A y - B u of trials from rest, (trial, time).
 
-        The start, the line and the drift of (1) are left out.
+        The start, the line and the drift of (1) are not subtracted.
         """
         B = self.numerators(y.shape[1])
         answer = fftconvolve(u, B.T[None], axes=1)[:, : y.shape[1]].sum(axis=2)
@@ -156,7 +156,7 @@ class Regression:
 
 
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
-    """Estimate P to one output.
+    """Estimate P from all commanded inputs to one output.
 
     `direct` says whether y(t) may depend on the commanded inputs at t, or at t less their delay.
     `delays` are the least delays of the commanded inputs in samples, (m,). Larger delays are tried

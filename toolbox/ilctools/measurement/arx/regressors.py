@@ -1,7 +1,7 @@
-"""The regressors of (1), and the products to which the series add up.
+"""The regressors of equation (1) in `unknowns`, and their products, summed over all series.
 
-T(u) is the matrix of the lags of u, and H is defined in `unknowns`. A drift consists of ramps from
-knot to knot. Then
+T(u) is the matrix of lagged samples of u, and `unknowns` defines H. A drift is straight between
+samples that are called knots, and consists of ramps from knot to knot. Then
 
     X = [-T(y) H, T(u_1) H, ..., T(u_m) H, slow parts, T(1, 0, 0 ...) H, ramps].
 
@@ -25,7 +25,7 @@ STRETCH = 8192  # samples of X at a time, which take some 30 MB
 
 
 class Regressors:
-    """X' of a series, (unknown, time), part by part: X of a long series has gigabytes."""
+    """X' of a series, (unknown, time), computed in parts, because X may take gigabytes."""
 
     def __init__(self, series: Series, layout: Layout):
         self.samples, self.layout = len(series.y), layout
@@ -153,7 +153,7 @@ def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=Non
 
 
 def _at_rest(layout, j, known):
-    """Compute products of one more row of [X, y], almost without error: B_j(1) = known A(1)."""
+    """Compute the products of a further, almost exact row of [X, y]: B_j(1) = known A(1)."""
     row, rest = np.zeros(layout.size + 1), np.zeros(1)
     row[layout.where(Kind.A)] = -known * layout.waves_of_A(rest)[0].real
     row[layout.where_B(j)] = layout.waves_of_B(j, rest)[0].real

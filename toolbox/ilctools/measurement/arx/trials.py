@@ -1,4 +1,4 @@
-"""Trials as the regression takes them, and series, which are means and differences of trials.
+"""Trials as the regression uses them, and series, which are means and differences of trials.
 
 A disturbance that repeats is the same in all trials of a group. K trials y_k therefore enter as K
 series by Helmert's orthonormal contrasts,
@@ -21,8 +21,8 @@ from scipy.linalg import helmert
 class Trials:
     """A group: trials of the same length, in all of which the same disturbance may repeat."""
 
-    # The commanded inputs, relative to before the trial, and then the known disturbances, relative
-    # to the first sample, (trial, time, m + d).
+    # The commanded inputs, relative to their values before the trial, and then the known
+    # disturbances, relative to the first sample, (trial, time, m + d).
     u: np.ndarray
     y: np.ndarray  # (trial, time, p), relative to the first sample
     names: tuple[str, ...]  # of the trials, in messages
@@ -79,5 +79,5 @@ def series_of(groups: Sequence[Trials]) -> Iterator[Series]:
 
 
 def contrasts(signal: np.ndarray) -> np.ndarray:
-    """Compute the contrasts (contrast, ...) of trials (trial, ...)."""
+    """Compute the contrasts (contrast, ...) of trials (trial, ...): mean and differences."""
     return np.tensordot(helmert(len(signal), full=True), signal, 1)

@@ -3,11 +3,11 @@
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
 A is monic. A and each B have as many lags as a quarter of the longest trial. The lags of a B are
-counted from a delay of its input. A start is the response to what was before a series, and has as
-many lags. A drift is a random walk. In addition to its lags, each B has slow parts
-x (1 - p) / (z - p). Their time constants are the length of the longest trial, and a third of it. A
-plant may have a small part that is far slower than the rest. Without slow parts, the regression
-would take this part for drift, and the error would not be seen.
+counted from a delay of its input. A start is the response to signals before a series, and has as
+many lags. A drift is a random walk. In addition to its lags, each B has slow parts x (1 - p) /
+(z - p). Their time constants are the length of the longest trial, and a third of it. A plant may
+have a small part that is far slower than the rest. Without slow parts, the regression would treat
+this part as drift, and would not see the error.
 
 The unknowns of a response are its increments from lag to lag. Far lags share one increment: the
 coefficients lie on straight lines between *knots*. The coefficients are H x, where x are the
@@ -43,7 +43,7 @@ DRIFT_KNOTS = 64  # number of knots of a drift, which is straight between them
 
 
 class Kind(IntEnum):
-    """What an unknown belongs to; the unknowns of a kind have one prior variance c in common."""
+    """The part of (1) that an unknown belongs to; unknowns of a kind share the variance c."""
 
     A = 0  # increments of A
     B = 1  # increments of the B of an input
@@ -58,7 +58,7 @@ class Kind(IntEnum):
 
 
 class Block(NamedTuple):
-    """Unknowns that belong together, and the lag of each unknown in the prior (2)."""
+    """Unknowns that belong together, and the lag of each unknown in (2) of `prior`."""
 
     kind: Kind
     owner: Hashable  # the input of B and slow parts, the key of a series, the position of a group
@@ -67,7 +67,7 @@ class Block(NamedTuple):
 
     @classmethod
     def of_lags(cls, kind: Kind, owner: Hashable, knots: np.ndarray, late: int = 0) -> "Block":
-        """Make a block of increments at knots, which decay from `late` lags after the first."""
+        """Make a block of increments at knots, whose variances decay after `late` lags."""
         lag = np.maximum(knots - knots[0] - late, 0.0)
         return cls(kind, owner, lag, np.append(np.diff(knots), np.inf))
 
@@ -145,7 +145,7 @@ class Layout:
 
 
 def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Layout:
-    """Lay out the unknowns of trials.
+    """Make the layout of the unknowns for these trials.
 
     `direct` says whether y(t) may depend on the commanded inputs at t, or at t less their delay.
     `delays` are the delays of all inputs, (m + d,).
@@ -173,7 +173,7 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
 
 
 def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
-    """Choose the knots of the starts of so many series, in samples; `late` is the latest delay.
+    """Choose the knots of the starts of `series` series; `late` is the latest delay, in samples.
 
     Up to this delay, the effect of earlier inputs is still on its way and may be anything. There is
     then a knot at each sample, unless all starts together would have too many.
