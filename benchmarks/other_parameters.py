@@ -1,8 +1,8 @@
 """Notebooks with other parameters, drawn within the ranges that they state: how does each run end?
 
 A run ends well, or with an error that the notebook or the packages raise on purpose, or with
-another package's error, which is a defect. If a NaN is printed, a line that begins with "nan means:"
-has to say what it stands for.
+another package's error, which is a defect. If a NaN is printed, the notebook has to say what the
+NaN stands for, in a line that begins with "nan means:".
 """
 
 import ast
@@ -17,7 +17,6 @@ import warnings
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
-from pathlib import Path
 
 import matplotlib
 import nbformat
@@ -86,6 +85,14 @@ def drawn(name, number):
     return values
 
 
+def raised_by_us(error, source):
+    """Whether the last line that ran is a `raise` of the packages or of the notebook's cell."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    line = source.splitlines()[last.lineno - 1] if last.filename == "<notebook>" else last.line
+    ours = any(part in last.filename for part in OURS)
+    return bool(ours and str(error) and line.lstrip().startswith("raise"))
+
+
 def ended(name, parameters):
     """How a run ends, in a word, with the last line of what it says, and its CPU seconds."""
     os.chdir(ROOT / "notebooks")
@@ -93,8 +100,9 @@ def ended(name, parameters):
     matplotlib.use("agg")
     imports, chosen, *sources = code_of(name)
     names, said, begun = {"display": print}, io.StringIO(), time.process_time()
-    outcome, text = "ended", ""
-    with warnings.catch_warnings(action="ignore"), redirect_stdout(said), redirect_stderr(said):
+    outcome, text, source = "ended", "", ""
+    with warnings.catch_warnings(), redirect_stdout(said), redirect_stderr(said):
+        warnings.simplefilter("default")  # as in a notebook
         try:
             exec(f"{imports}\n{chosen}", names)
             names |= parameters
@@ -104,13 +112,8 @@ def ended(name, parameters):
                     last.value = ast.Call(ast.Name("print", ast.Load()), [last.value], [])
                 exec(compile(ast.fix_missing_locations(tree), "<notebook>", "exec"), names)
         except Exception as error:
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            own = any(part in frame.filename for part in OURS) and str(error)
-            by_raise = (frame.line or "raise").lstrip().startswith("raise") or "error" in (
-                frame.line or ""
-            )
-            outcome = "own error" if own and by_raise else "raw error"
-            text = f"{type(error).__name__}: {error} ({Path(frame.filename).name}:{frame.lineno})"
+            outcome = "own error" if raised_by_us(error, source) else "raw error"
+            text = f"{type(error).__name__}: {error}"
     if outcome == "ended" and NAN.search(said.getvalue()) and "nan means:" not in said.getvalue():
         line = next(line for line in said.getvalue().splitlines() if NAN.search(line))
         outcome, text = "nan", line.strip()
