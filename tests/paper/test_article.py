@@ -30,10 +30,29 @@ def test_the_numbers_are_those_of_the_ledger():
     assert {*failed.index} <= {quote["key"] for quote in QUOTES}  # each is explained in the text
 
 
+def test_numbers_that_are_typed_are_in_the_readme_or_in_the_ledger():
+    """Such as 0.013, for which the ledger has no row of its own."""
+    text = (FOLDER / "article.typ").read_text(encoding="utf-8")
+    prose = [
+        re.sub(r"#(?:in-words|note|computed|printed)\([^)]*\)", "", line)
+        for line in text.splitlines()
+        if not re.match(
+            r"\s*(?:#(?:set|show|let|import|text|v\()|//|columns|align|inset|table)", line
+        )
+    ]
+    typed = {*re.findall(r"(?<![\w.])\d+(?:[.,]\d+)+", "\n".join(prose))}
+    known = "\n".join(
+        [(ROOT / "README.md").read_text(encoding="utf-8"), *ROWS.to_csv().splitlines()]
+    )
+    assert "0.013" in typed
+    assert not {number for number in typed if number not in known} - {"0.1.0"}  # the version
+
+
 @pytest.fixture
 def clone(tmp_path):
     """A copy of all that the article is made of."""
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name in ("pyproject.toml", "environment.lock"):
+        shutil.copy(ROOT / name, tmp_path)
     shutil.copytree(FOLDER, tmp_path / "article")
     (tmp_path / "figures").mkdir()
     shutil.copy(ROOT / "figures" / "ledger.csv", tmp_path / "figures")
