@@ -106,18 +106,19 @@ def assumed_reference(
     steepness: float = 1.0,
     plateaus: Sequence[Sequence[float]] = ((10.0, 6.0), (8.0, 10.0)),
 ) -> np.ndarray:
-    """Return an assumed reference trajectory; the paper shows its own only as a plot (Fig. 7).
+    """Return an assumed reference trajectory, because the paper gives only a plot (Fig. 7).
 
     Both outputs start and end at the initial ambient temperature. In between they stay at two
-    plateaus. They move along quintic steps, whose first and second derivatives are continuous.
+    plateaus. From one level to the next they follow quintic steps, whose first and second
+    derivatives are continuous.
 
     Parameters
     ----------
     samples : int, default 2500
         Length of the trial. The shape is stretched to this length.
     steepness : float, default 1.0
-        Steepness of the moves, relative to the default; at least 0.7. The plateaus and the middle
-        of each move do not change, but no move begins before the trial.
+        Steepness of the steps, relative to the default; at least 0.7. The plateaus and the time of
+        the middle of each step do not change, but no step begins before the trial.
     plateaus : array_like, shape (2, 2), default ((10, 6), (8, 10))
         The two plateaus of each output, in K above the initial ambient temperature.
 
@@ -129,7 +130,7 @@ def assumed_reference(
     See Also
     --------
     assumed_disturbance : the disturbance of the same trials
-    run_trials : trials with both
+    run_trials : trials with reference and disturbance
 
     Examples
     --------
@@ -174,7 +175,8 @@ def assumed_disturbance(
     trials : int, default 10
         Number of trials.
     first : int, default 5
-        First trial with the disturbance, counted from 1. All later trials have the same one.
+        First trial with the disturbance, counted from 1. All later trials have the same
+        disturbance.
     flows : array_like, shape (2,), default (5, -4)
         Peaks of Q2 and Q4, in W.
     duration : float, default 0.5
@@ -189,7 +191,7 @@ def assumed_disturbance(
     See Also
     --------
     assumed_reference : the reference of the outputs
-    run_trials : trials with both
+    run_trials : trials with reference and disturbance
 
     Examples
     --------

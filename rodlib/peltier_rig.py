@@ -75,10 +75,11 @@ class PeltierElement:
 class PeltierParameters:
     """Parameters of elements, sinks, surface and sensors of the rig, and of its inner map.
 
-    All parameters are assumed. The convection is Nu = 0.54 Ra^(1/4), for a warm plate that faces up
-    in air at 300 K, whose length is its area divided by its perimeter (W. H. McAdams, Heat
-    Transmission, 1954). The formula holds from Ra = 1e4 on; at 10 K, Ra is half of this. A cold rod
-    has the same convection here, which is too much.
+    All parameters are assumed. The convection is Nu = 0.54 Ra^(1/4), with the Nusselt number Nu and
+    the Rayleigh number Ra, for a warm plate that faces up in air at 300 K, whose length is its area
+    divided by its perimeter (W. H. McAdams, Heat Transmission, 1954). The formula holds from
+    Ra = 1e4 on. If the rod is 10 K warmer than the air, Ra is only half of this limit. A cold rod
+    has the same convection in this model, although its true convection is smaller.
 
     See Also
     --------

@@ -1,9 +1,9 @@
 """The virtual rig that takes the place of the laboratory.
 
-The rig knows neither the design model nor what runs an experiment. The rig has its own material
-parameters. With a real rod, only the rig object is replaced, see :class:`.protocol.Rig`. The rig
-here is linear. The rig of :mod:`rodlib.peltier_rig` is not linear, and recorded the logs in
-data/rig.
+The code of the rig uses neither the design model nor the code that runs an experiment. The rig has
+other material parameters than the design model. With a real rod, only the rig object is replaced,
+see :class:`.protocol.Rig`. The rig here is linear. The rig of :mod:`rodlib.peltier_rig` is not
+linear, and recorded the logs in data/rig.
 """
 
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class RigParameters:
 
 
 class Bench:
-    """The common part of all rigs: a warming room, noisy sensors, time that passes by samples."""
+    """The common part of all rigs: a room that warms up, noisy sensors, and a clock in samples."""
 
     def __init__(self, rod: Rod, parameters, Ts: float, seed: int):
         arguments.instance("rod", rod, Rod)

@@ -177,10 +177,11 @@ def _weighted(rod, degree, function):
 
 
 def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return s, B, C of the modes cos(n pi z / l) of (1)-(4), whose sum is theta, for each n.
+    """Return s, B, C of the modes cos(n pi z / l) of (1)-(4) for each number n.
 
-    Their amplitudes T_n obey dT_n/dt = s_n T_n + (B u)_n with u the inputs of :func:`midr` and
-    -kappa_1 s_n = kappa_2 + lambda (n pi / l)^2; the outputs are C T. The air excites the uniform
+    The temperature theta is the sum of T_n cos(n pi z / l). The amplitudes T_n obey
+    dT_n/dt = s_n T_n + (B u)_n. Here u are the inputs of :func:`midr`, and
+    -kappa_1 s_n = kappa_2 + lambda (n pi / l)^2. The outputs are C T. The air excites the uniform
     mode alone.
     """
     waves, middles = np.pi / rod.length * n, rod.edges[:-1] + rod.length / rod.sections / 2
@@ -193,7 +194,7 @@ def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
-    """Model the average temperatures of equal cells, and the heat between them, in state space.
+    """Model the average temperatures of equal cells, which exchange heat, in state space.
 
     Fourier's law (2) holds between the middles of two cells, whose distance is dz,
 
@@ -201,7 +202,7 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
 
     without a neighbour at the ends. A sensor between the middles of two cells reads the linear
     interpolation between them. Beyond the middle of an outer cell, a sensor reads the average of
-    this cell. Heating makes no cell colder.
+    this cell. In this model, heating makes no cell colder.
 
     Parameters
     ----------
@@ -248,8 +249,8 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     """Compute the transfer function of the rod's equations (1)-(4), without approximation.
 
     With gamma(s)^2 = (kappa_1 s + kappa_2) / lambda the temperature obeys
-    theta'' = gamma^2 theta - (mu + kappa_2 theta_a) / lambda with theta'(0) = theta'(l) = 0.
-    Where the rod is heated by mu = 1 from 0 to y, lambda gamma^2 theta(z) is
+    theta'' = gamma^2 theta - (mu + kappa_2 theta_a) / lambda with theta'(0) = theta'(l) = 0. If the
+    rod is heated from 0 to y by a heat flow per volume mu = 1, lambda gamma^2 theta(z) is
 
         cosh(gamma (l - z)) sinh(gamma y) / sinh(gamma l),            y <= z,
         1 - cosh(gamma z) sinh(gamma (l - y)) / sinh(gamma l),        y > z.

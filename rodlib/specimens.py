@@ -62,8 +62,9 @@ class Specimen:
 class Spread:
     """How far the parameters of a rod may differ from their nominal values.
 
-    Each parameter deviates independently, uniformly from -spread to +spread. A spread is relative,
-    0.2 for 20 %; the spread of the sensors is a length in metres.
+    Each parameter deviates independently of the others, uniformly from -spread to +spread. The
+    spread of the sensors is a length in metres. All other spreads are relative: 0.2 stands for
+    20 %.
 
     See Also
     --------
@@ -107,8 +108,8 @@ class Spread:
         ----------
         deviations : array_like, shape (4 + sections + sensors,)
             The deviations as shares of the spread, from -1 to 1. First come the four material
-            parameters in the order above, then the gain of each Peltier element, then the position
-            of each sensor.
+            parameters, in the order of the fields of :class:`Spread`. Then come the gain of each
+            Peltier element, and the position of each sensor.
         nominal : Rod
             The nominal rod. Default: the paper's rod. If a sensor is beyond the end of the rod,
             :class:`rodlib.Rod` raises a ValueError.

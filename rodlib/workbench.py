@@ -1,7 +1,7 @@
 """The workbench for JupyterLab: move a slider and see its effect on the filter.
 
-:func:`try_out` designs a filter and simulates trials with the filter. :func:`plot` draws both.
-:func:`open_workbench` adds a slider for each choice.
+:func:`try_out` designs a filter and simulates trials with the filter. :func:`plot` draws the design
+and the trials. :func:`open_workbench` adds a slider for each choice.
 """
 
 import warnings
@@ -49,15 +49,15 @@ def try_out(
     Returns
     -------
     design : Synthesis
-        The design, with its certificate. If there is no filter, the synthesis raises an error that
-        says why.
+        The design, with its certificate. If no filter meets the bounds, the synthesis raises an
+        error that says why.
     trials : xarray.Dataset
         As :func:`ilctools.run_trials` returns them.
 
     See Also
     --------
     plot : a picture of design and trials
-    open_workbench : the same with sliders
+    open_workbench : a design with its trials, chosen by sliders
 
     Examples
     --------
@@ -79,7 +79,7 @@ def try_out(
 def open_workbench(loop, reference, disturbance=None, **choices):
     """Show sliders for the choices of :func:`try_out`, above the picture and the certificate.
 
-    If there is no filter, the reason is shown instead of picture and certificate.
+    If no filter meets the bounds, the reason is shown instead of picture and certificate.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def open_workbench(loop, reference, disturbance=None, **choices):
 
     See Also
     --------
-    try_out : one choice, without widgets
+    try_out : a single design with its trials, without widgets
 
     Examples
     --------

@@ -4,9 +4,9 @@ Processors differ in the last digits of a sum. However many processors are tried
 differ. A printed number may therefore differ by one unit of its last digit, such as 0.8833 and
 0.8834. A whole number above a thousand counts steps or samples, and may differ by a thousandth.
 
-In a picture, an edge may move by a part of a pixel. Each pixel must lie between the darkest and the
-lightest of the nine pixels around its place in the other picture, and the other way round. Specks
-are exempt.
+In a picture, an edge may be displaced by a part of a pixel. Each pixel must lie between the darkest
+and the lightest of the nine pixels around its place in the other picture, and the other way round.
+Specks are exempt.
 
 The PDF of a figure is drawn at the same time as its PNG, with the same content, but has other bytes
 on another machine. A PDF counts as the same if its end is present.
@@ -52,14 +52,14 @@ def different_figures(drawn: Path, before: Path) -> list[str]:
 
 
 def same_figure(drawn: Path, tracked: Path) -> bool:
-    """Return whether two PNG files show the same, and the tracked PDF has its end."""
+    """Return whether two PNG files show the same picture, and the tracked PDF is complete."""
     pdf = tracked.with_suffix(".pdf")
     ends = pdf.is_file() and pdf.read_bytes().rstrip().endswith(b"%%EOF")
     return ends and same_picture(drawn, tracked)
 
 
 def same_picture(one: Path, other: Path) -> bool:
-    """Return whether two PNG files show the same; False if a file cannot be read."""
+    """Return whether two PNG files show the same picture; False if a file cannot be read."""
     try:
         one, other = imread(one), imread(other)  # from 0 to 1
     except (OSError, SyntaxError, ValueError):  # SyntaxError: pillow's

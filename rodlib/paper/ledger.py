@@ -97,7 +97,7 @@ def rule(claim: Claim) -> Rule:
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
-    """Return the verdict, and the deviation from the printed number or from a missed criterion."""
+    """Return the verdict, and the deviation from the printed number or from a failed criterion."""
     number, tolerance, relation = rule(claim)
     deviation = computed - number
     if relation:
@@ -168,11 +168,11 @@ class Ledger:
         self.rows[key] = row
 
     def table(self) -> pd.DataFrame:
-        """Return the rows recorded so far, in the order of the paper; those that differ first."""
+        """Return the rows recorded so far, differing rows first, each part in the paper's order."""
         return differing_first(self.frame()).set_index("place")[TABLE]
 
     def save(self) -> None:
-        """Write the rows to build/ledger, or to the folder of the run, which joins all rows."""
+        """Write the rows to build/ledger, or to the folder of the run that joins all rows."""
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
         notebook = ROOT / "notebooks" / f"{self.notebook}.ipynb"
         cell = json.loads(notebook.read_text("utf-8"))["cells"][-1]["id"]  # the last one records
@@ -206,7 +206,7 @@ def read(path):
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """Return the README's text: how many claims that could differ agree, and which do not."""
+    """Return the README's text: how many claims that could differ agree, and which differ."""
     counts, lines = counted(rows), []
     for name, what in COUNTED.items():
         agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]

@@ -13,8 +13,8 @@ def checked(**parameters: tuple) -> dict:
     """Return the values of parameters by name; a ValueError names a value outside its range.
 
     A number is passed as (value, default, least, most), with both ends included. If both ends are
-    whole, the number must be whole, too. Any other parameter is passed as (value, default), and is
-    only compared with its default.
+    whole numbers, the value must also be a whole number. Any other parameter is passed as (value,
+    default), and is only compared with its default.
     """
     for name, (value, _, *ends) in parameters.items():
         if ends and all(isinstance(end, int) for end in ends):

@@ -37,15 +37,15 @@ def execute(notebook: Path, executed: Path) -> None:
 
 
 def longest_first(root: Path) -> list[Path]:
-    """Return the notebooks, the last one first: the long ones are among the last ones."""
+    """Return the notebooks, the last one first: those that take longest are among the last."""
     return sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
 
 
 def reproduce(root: Path = ROOT) -> None:
-    """Run all notebooks and publish the figures and the ledger; on an error, publish nothing.
+    """Run all notebooks and publish the figures and the ledger; after an error, publish nothing.
 
-    Only one run may be active. A run begins with an empty folder, to which the kernels of this
-    process save.
+    Only one run may be active. A run begins with an empty folder, in which the notebooks of this
+    run save their results.
     """
     build = folder(checkout("make reproduce", root) / "build")
     refusal = f"make reproduce is already running in {root}: wait until it has ended"

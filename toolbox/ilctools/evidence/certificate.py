@@ -1,8 +1,8 @@
-"""The certificate of a learning filter: what is known about the filter without the solver.
+"""The certificate of a learning filter: facts about the filter, computed without the solver.
 
 :func:`check` evaluates a filter on all plants of a problem. The filter may have been designed for
-this problem or for another problem. :func:`certify` also computes how far the filter is from the
-optimum of its design problem.
+this problem or for another problem. :func:`certify` also computes by how much the objective of the
+filter can exceed the optimum of its design problem.
 """
 
 from dataclasses import dataclass
@@ -47,17 +47,17 @@ FREQUENCIES_OF_MEAN = 2000  # for the mean of sigma_max(M) over the band
 # ratio is below this number, the weakest direction may be the difference between two sensors that
 # measure nearly the same signal.
 ALIKE = 3e-3
-# share of the error in the band that remains: above this share, learning counts as idle
+# Learning counts as idle if one trial leaves more than this share of the error in the band.
 IDLE_FROM = 0.9
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is known about a learning filter, by evidence that does not come from the solver.
+    """Rate, margins and gains of a learning filter, computed independently of the solver.
 
     Print a certificate to see the rate, the margins and the gains. :attr:`details` has the numbers
-    behind this text. The certificate uses M = Q (I - P L), the map of the error from one trial to
-    the next. The grid consists of the design frequencies omega and all other
+    behind this text. The certificate uses M = Q (I - P L), which maps the error of one trial to the
+    error of the next trial. The grid consists of the design frequencies omega and all other
     frequencies at which the solver needed bounds.
     """
 
@@ -74,24 +74,24 @@ class Certificate:
 
     @property
     def grid_M(self) -> float:
-        """The largest sigma_max(M) on the grid, over all plants within the radius."""
+        """The largest sigma_max(M) on the grid, for all plants and all errors within the radius."""
         return self.peaks["on the grid"].sigma
 
     def on_grid(self, claim: Claim) -> float:
-        """Return the largest value on the grid of the sigma_max that a claim bounds."""
+        """Return the largest sigma_max on the grid of the matrix, M or L, that a claim bounds."""
         if claim.matrix == "M":
             return self.grid_M
         return float(self.sigma_L[claim.holds_at(self.problem_on_grid.omega)].max(initial=0))
 
     def anywhere(self, claim: Claim) -> float:
-        """Return the largest value over all frequencies of the sigma_max that a claim bounds."""
+        """Return the largest sigma_max over all frequencies of the matrix, M or L, in a claim."""
         if claim.matrix == "M":
             return self.all_M
         return peak_of_L(self.scaled_filter, claim.lowest)[0] if claim.lowest else self.all_L
 
     @property
     def peak(self) -> Peak:
-        """The highest peak over all frequencies at which P is known."""
+        """The highest peak of sigma_max(M) over all frequencies at which P is known."""
         return self._highest_without("assumed", BELOW)
 
     def _highest_without(self, *ways):
@@ -99,9 +99,10 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """An upper bound on sigma_max(M) over all frequencies; an estimate if not `proven`.
+        """An upper bound on sigma_max(M) over all frequencies; an estimate if `proven` is False.
 
-        A proven bound exceeds the peak by a relative PEAK_TOLERANCE at most.
+        A proven bound exceeds the peak of sigma_max(M) by at most a fraction PEAK_TOLERANCE of the
+        peak.
         """
         return self.peak.sigma
 
@@ -109,32 +110,32 @@ class Certificate:
     def all_L(self) -> float:
         """An upper bound on sigma_max(L) over all frequencies.
 
-        The bound exceeds the peak by a relative PEAK_TOLERANCE at most.
+        The bound exceeds the peak of sigma_max(L) by at most a fraction PEAK_TOLERANCE of the peak.
         """
         return peak_of_L(self.scaled_filter)[0]
 
     @property
     def proven(self) -> bool:
-        """Whether `all_M` is proven. For samples or a radius, a dense grid gives an estimate."""
+        """Whether `all_M` is proven. If P has a radius, or P or Q is a table, it is an estimate."""
         return "estimated" not in self.peaks
 
     @property
     def highest_peak(self) -> Peak:
-        """The highest peak at any frequency, whether proven, estimated or assumed."""
+        """The highest peak of sigma_max(M) at any frequency: proven, estimated or assumed."""
         return self._highest_without()
 
     @property
     def rate(self) -> float:
-        """The largest sigma_max(M), which is the gamma of Lemma 1."""
+        """The largest sigma_max(M), which is the gamma of Lemma 1 of the paper."""
         return float(self.highest_peak.sigma)
 
     @property
     def convergence(self) -> Convergence:
-        """Whether and how fast the trials converge on the worst of all plants.
+        """Whether the trials converge for the worst of all plants, and how fast.
 
         The spectral radius of M is computed for the plants themselves, without the radius around
-        each plant. Its frequencies are the frequencies of the problem, of the peaks and of a dense
-        grid.
+        each plant. It is computed at the frequencies of the problem, at the peaks of sigma_max(M),
+        and on a dense grid.
         """
         problem = self.problem
         peaks, plants = [peak.omega for peak in self.peaks.values()], range(len(problem.plants))
@@ -161,7 +162,7 @@ class Certificate:
         )
 
     def _at(self, omega, plants):
-        """Compute the convergence of the plants with these numbers at any frequencies."""
+        """Compute the convergence at any frequencies, for the plants with the numbers `plants`."""
         problem = self.problem
         P = np.array([problem.response.anywhere(k, omega)[0] for k in plants])
         Q, L = (f.frequency_response(omega) for f in (problem.lowpass, self.scaled_filter))
@@ -169,9 +170,10 @@ class Certificate:
 
     @property
     def mean_M(self) -> float:
-        """Mean of sigma_max(M) for the nominal plant, see :meth:`.Convergence.mean`.
+        """Mean of sigma_max(M) over the band of the objective, for the nominal plant.
 
-        The mean is NaN if the objective has no band of frequencies.
+        The mean is defined in :meth:`.Convergence.mean`. If the objective has no band of
+        frequencies, the mean is NaN.
         """
         band, omega = self.problem.objective.band, self.problem.omega
         if band is None or band[0] <= 0:
@@ -187,7 +189,7 @@ class Certificate:
 
     @cached_property
     def predicted(self) -> dict[int, float] | None:
-        """Predicted RMS of the error in each trial, see :func:`.predicted_rms`.
+        """Predicted RMS of the error by the number of the trial, see :func:`.predicted_rms`.
 
         The prediction is None if the problem has no reference.
         """
@@ -197,7 +199,7 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Difference between value and lower bound, relative to :meth:`.Problem.gap_scale`."""
+        """Difference between value and lower bound, divided by :meth:`.Problem.gap_scale`."""
         return (self.value - self.lower_bound) / self.problem_on_grid.gap_scale(self.value)
 
     @property
@@ -217,7 +219,7 @@ class Certificate:
         return [found for times, found in judged if found.value > found.limit * times]
 
     def _judged(self, code, claim) -> Finding:
-        """Compare a claim with the largest value on the grid, or at all frequencies."""
+        """Compare a claim's limit with the largest value on the grid, or at all frequencies."""
         value = self.on_grid(claim) if code == "on the grid" else self.anywhere(claim)
         place = ""
         if claim.matrix == "M":
@@ -226,7 +228,7 @@ class Certificate:
 
     @property
     def warnings(self) -> list[Finding]:
-        """The findings against the problem, and against the bounds between the frequencies."""
+        """Findings about weak points of the problem, and about peaks between its frequencies."""
         problem, response, peak = self.problem, self.problem.response, self.peak
         found = [*problem.findings, *problem.costs, *_alike(problem), *doubts(response)]
         below = self.peaks.get(BELOW)
@@ -248,7 +250,11 @@ class Certificate:
 
     @cached_property
     def settled_trial(self) -> SettledTrial:
-        """The largest norm of a long trial among the plants; NaN unless P and Q are models."""
+        """The norm of a long trial, the largest among the plants; NaN unless P and Q are models.
+
+        The norm of a trial is the largest factor by which one trial can increase the distance of v
+        from its limit, see :func:`.trial_norm`.
+        """
         problem = self.problem
         if problem.response.sampled or isinstance(problem.lowpass, SampledQ):
             return SettledTrial(0, np.nan)
@@ -261,36 +267,37 @@ class Certificate:
     def details(self) -> str:
         """A table of the numbers behind the certificate, and the assumptions.
 
-        The numbers are printed with so many digits that all processors give the same text. The
-        peaks of sigma_max(M) are for all plants within the radius. A peak is known in one of these
-        ways:
+        The numbers are printed with so few digits that all processors give the same text. The peaks
+        of sigma_max(M) are the largest values over all plants within the radius. A peak is known in
+        one of these ways:
 
         - *on the grid*: the grid contains omega and all other frequencies that needed bounds;
         - *proven*: the peak holds at all frequencies, for plants that are models, without a radius;
-        - *where P passes nothing*: the peak is proven, too, but M is |Q| there for any L;
+        - *where P passes nothing*: the peak is proven, but sigma_max(M) is |Q| there for any L,
+          because P has no gain;
         - *estimated*: from a dense grid between the first and the last frequency of omega;
         - *assumed*: below the first sample of P, or above the last sample.
 
         A resonance that no sample shows is not taken into account.
 
-        The lower bound of the objective holds for any filter of this structure and order that
-        keeps the bounds on the grid. The limits on the grid are lower than the stated limits, so
-        that the stated limits also hold between the frequencies of the grid and above them. If
-        L = B K with the `base` B, the lower bound holds for this B and any K with a gain of at most
+        The lower bound of the objective holds for any filter of this structure and order that meets
+        the bounds on the grid. The limits on the grid are lower than the stated limits, so that the
+        stated limits also hold between the frequencies of the grid and above them. If L = B K with
+        the `base` B, the lower bound holds for this B and any filter K with a gain of at most
         `K_MAX`. Without L_max, the lower bound holds for all L with which the gain of Q P L is at
-        most `MOST_GAIN`, see :mod:`.problem.problem`. The lower bound is NaN if nothing was
-        optimised.
+        most `MOST_GAIN`, see :mod:`.problem.problem`. If the filter was not optimised, the lower
+        bound is NaN.
         """
         return report.details(self)
 
     @property
     def rate_above(self) -> float:
-        """The rate without the peaks that are assumed below the first sample of P."""
+        """The rate without the peaks below the first sample of P, which are only assumed."""
         return self._highest_without(BELOW).sigma
 
 
 def _alike(problem):
-    """Yield a finding if a direction of P is far weaker than another up to the cut-off."""
+    """Yield a finding if one direction of P has far less gain than another up to the cut-off."""
     cutoff = problem.lowpass.cutoff
     below = problem.omega <= max(cutoff, problem.omega[0])
     values = np.linalg.svd(problem.P[below], compute_uv=False)
@@ -302,7 +309,7 @@ def _alike(problem):
 def check(
     problem: Problem, L: Filter, grid: Problem | None = None, lower_bound: float = np.nan
 ) -> Certificate:
-    """Evaluate a learning filter, in units of `scale`, on the plants of a problem.
+    """Certify a learning filter L, given in units of `scale`, on the plants of a problem.
 
     `grid` is the same problem with additional frequencies. Default: the problem itself.
     `lower_bound` is a lower bound on the objective, if one is known.
@@ -323,6 +330,6 @@ def check(
 
 
 def certify(problem: Problem, grid: Problem, solution: Solution) -> Certificate:
-    """Certify the filter of a solution; its multipliers only give the lower bound."""
+    """Certify the filter of a solution; the solution's multipliers only give the lower bound."""
     bound = lower_bound(grid, solution.U, solution.V, solution.cuts)
     return check(problem, problem.scaled_filter(solution.coefficients), grid, bound)

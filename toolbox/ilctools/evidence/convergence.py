@@ -46,16 +46,16 @@ class Convergence:
 
     @property
     def converges(self) -> bool:
-        """Whether the trials surely converge, although a single trial may increase the error."""
+        """Whether it is certain that the trials converge; single trials may increase the error."""
         return self.monotone or (not self.uncertain and bool(np.max(self.spectral_radius) < 1))
 
     def mean(self, band=None) -> float:
         """Mean of sigma_max(M) over the logarithm of frequency, in a band (low, high) in rad/s.
 
-        On a logarithmic grid, the mean is the sum in (39) of the paper, divided by the number of
-        its terms. Means can therefore be compared between designs on different grids. The integral
-        is computed by trapezia with corners at `omega` and at the ends of the band. Default: from
-        the first to the last frequency of `omega`.
+        On a logarithmic grid, the mean is the sum in equation (39) of the paper, divided by the
+        number of terms. Means can therefore be compared between designs on different grids. The
+        integral is computed by the trapezoidal rule, with nodes at `omega` and at the ends of the
+        band. Default: from the first to the last frequency of `omega`.
         """
         omega = self.omega
         band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))

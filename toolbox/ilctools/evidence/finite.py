@@ -1,4 +1,4 @@
-"""Do finite trials converge? The norm of the map from one trial to the next, with both ends.
+"""Do trials of finite length converge? The norm of the map of v from one trial to the next.
 
 Lemma 1 of the paper holds for signals of infinite length. This module includes the effects of the
 beginning and of the end of a trial.
@@ -50,8 +50,9 @@ def trial_operators(
         Operators on raveled signals of shape (samples, m) or (samples, p). P_N has the shape
         (samples p, samples m), Q_N has (samples m, samples m), and L_N has (samples m, samples p).
         P_N is a lower triangular block Toeplitz matrix. Q_N and L_N are block Toeplitz if `ends` is
-        "zero". If `ends` holds the value at an end, the effect of the samples beyond this end is
-        added to the first or last block column.
+        "zero". With "hold", the first and the last value of a signal are repeated beyond the ends
+        of the trial. The effect of these repeated values is added to the first and the last block
+        column. With "hold-last", only the last value is repeated.
 
     See Also
     --------
@@ -90,20 +91,20 @@ def trial_map(
     """Return T = Q_N (I - L_N P_N), the map from v_k - v_inf to v_{k+1} - v_inf in a finite trial.
 
     Here v_k is the ILC signal of trial k, and v_inf is its limit after many trials. P_N, Q_N, L_N
-    are the matrices of P, Q and L on a trial of N samples, also called "lifted": D. A. Bristow,
-    M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems
-    Magazine 26 (2006).
+    are the matrices of P, Q and L on a trial of N samples. They are also called "lifted" operators,
+    see D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE
+    Control Systems Magazine 26 (2006).
 
-    If no actuator saturates, v_{k+1} - v_inf = T (v_k - v_inf) and
-    e_k - e_inf = -P_N (v_k - v_inf) hold exactly. With a learning gain a, the map is
-    (1 - a) I + a T. The parameters are as for :func:`trial_operators`. In the last `rest` samples
-    of each trial, v is held at zero.
+    If no actuator saturates, v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf)
+    hold exactly. With a learning gain a, the map is (1 - a) I + a T. The parameters are as for
+    :func:`trial_operators`. In the last `rest` samples of each trial, v is zero.
 
     No such map exists for the error alone. P has a delay, so that P_N maps the last sample of v to
     zero. For a zero z of P outside the unit circle, the signal z^p is an exponential that is large
-    only at the end of the trial. P_N maps this exponential to almost zero. Q_N then spreads it to
-    other samples, at which P_N does answer. M = P Q (P^-1 - L), equation (35) of the paper,
-    therefore does not hold for a finite trial. Q_N (I - P_N L_N) is not the operator of any trial.
+    only at the end of the trial. P_N maps this exponential to almost zero, so that the error hardly
+    shows it. Q_N then spreads the exponential to other samples, where it does change the outputs.
+    M = P Q (P^-1 - L), equation (35) of the paper, therefore does not hold for a finite trial.
+    Q_N (I - P_N L_N) is not the operator of any trial.
 
     See Also
     --------
@@ -147,9 +148,9 @@ def trial_norm(
         Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. If P has more inputs than outputs, only
         those v count that the law can learn, see :func:`learned_basis`. If the norm is below one
         for trials = 1, v converges monotonically. The norm is computed by Lanczos iteration, which
-        approaches the norm from below. A RuntimeError says if the iteration does not converge.
-        Short trials use an SVD instead. Trials of up to 1000 values use an SVD if the iteration
-        takes long.
+        approaches the norm from below. If the iteration does not converge, a RuntimeError is
+        raised. If v has few values, an SVD replaces the iteration. If v has up to 1000 values, an
+        SVD replaces an iteration that takes long.
     before, after : ndarray, shape (samples, m)
         `before` is the v_k - v_inf of norm one that is amplified most. `after` is the resulting
         v_{k+trials} - v_inf.
@@ -157,7 +158,7 @@ def trial_norm(
     See Also
     --------
     trial_map : the map itself
-    convergence : the same for trials without ends
+    convergence : how fast trials of infinite length converge
 
     Examples
     --------
@@ -185,8 +186,8 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
 
     If there are more inputs than outputs, or if only the errors at some points of time count, most
     v do not change any counted error. Only Q_N reduces such a v from trial to trial, and the norm
-    of T over all v is therefore one. If learning begins with v = 0, the law adds almost none of
-    these v, so that they are left out.
+    of T of :func:`trial_map` over all v is therefore one. If learning begins with v = 0, the law
+    adds almost none of these v. The norm is therefore computed without these v.
     """
     size = samples * L.rows
     if size > MOST_REACHED:
@@ -203,7 +204,7 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
-    """Compute the largest singular value of T, its unit vector x, and T x."""
+    """Compute the largest singular value of T, the unit vector x of this gain, and T x."""
     size = T.shape[1]
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
@@ -222,19 +223,19 @@ def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 class SettledTrial(NamedTuple):
-    """The length of a trial in which all plants settle, and the norm of this trial."""
+    """The length of a trial in which all plants settle, and its norm, see `trial_norm`."""
 
     samples: int  # zero if a plant or Q is known by samples only
     norm: float  # the largest :func:`trial_norm` among the plants
 
 
 def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
-    """Return the length and the norm of a trial that is long compared with the plants.
+    """Return the length and the norm of a trial that is long enough for all plants to settle.
 
     The trial is ten times as long as the slowest plant needs to settle, and at least twice as long
     as the largest delay. `SHORTEST_TRIAL` samples are added to this length. The length is limited
-    to `LONGEST_TRIAL`, divided by the number of inputs. With several plants, one iteration finds
-    the largest norm among the plants.
+    to `LONGEST_TRIAL`, divided by the number of inputs. With several plants, a single Lanczos
+    iteration finds the largest norm among the plants.
     """
     slowest = max(np.abs(P.poles()).max(initial=0) for P in plants)
     settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
@@ -254,7 +255,7 @@ def _delay(P):
 
 
 def _on_trial(f, samples, made, taken):
-    """Make a filter a linear operator on raveled signals of one trial.
+    """Convert a filter into a linear operator on the raveled signals of one trial.
 
     The operator maps signals with `taken` channels to signals with `made` channels.
     """

@@ -10,25 +10,25 @@ limit, the largest sigma_max(Q (I - P L)) stays below one, at all frequencies an
 the problem has a radius around each plant, the limits hold for all plants within this radius. This
 radius changes with the gain and the time scale of its plant.
 
-M = Q (I - P L) can have a narrow peak wherever P or L changes within a narrow band. P does so at a
-lightly damped mode, which is a pole of P. L = B K does so at an antiresonance of P, where L has
-poles. Q and L are therefore computed on a grid of frequencies between which the phase
-of the all-pass with their poles changes in small steps, see :mod:`.response.phase`. For each plant
-that is a model, such a grid is made from the poles of the plant. Cubic splines interpolate Q and L
-between the frequencies of their grid. M is also computed at the tops of its peaks. The top of a
-peak is estimated by the parabola through three neighbouring points. The poles of a plant that is
-known as a table are not known. A mode of a table that is narrower than a step of omega is therefore
-not seen. Above the last sample of a table, P has the same size as in the certificate, with any
-phase. The margin of the time scale leaves out the frequencies that would use a table above its last
-sample.
+M = Q (I - P L) can have a narrow peak wherever P or L changes within a narrow band. P changes
+quickly at a lightly damped mode, which is a pole of P. If L = B K with the regularised inverse B of
+P, L changes quickly at an antiresonance of P, where L has poles. Q and L are therefore computed on
+a grid of frequencies between which the phase of the all-pass with their poles changes in small
+steps, see :mod:`.response.phase`. For each plant that is a model, such a grid is made from the
+poles of the plant. Cubic splines interpolate Q and L between the frequencies of their grid. M is
+also computed at the tops of its peaks. The top of a peak is estimated by the parabola through three
+neighbouring points. The poles of a plant that is known as a table are not known. A mode of a table
+that is narrower than a step of omega is therefore not seen. Above the last sample of a table, P has
+the same size as in the certificate, with any phase. The margin of the time scale leaves out the
+frequencies that would use a table above its last sample.
 
 For each margin, the search starts at no change and goes outwards in steps, until sigma_max is at
 least one. Brent's method then finds the limit within the last step. The search ends at ten times
-the gain, eight times the time scale, or a full turn of the phase. As functions of g and r,
-sigma_max is convex, so that there is one limit. A limit on g between 0 and 1 exists only if |Q| is
-above one at some frequency. These margins differ from the phase margins of
-``control.stability_margins``, which belong to a feedback loop in time. The law v = Q (v + L e)
-feeds back only from trial to trial.
+the gain, at eight times the time scale, or at the delay that turns the phase at the cut-off by a
+full turn. sigma_max(M) is a convex function of g and of r, so that each of these two searches has a
+single limit. A limit on g between 0 and 1 exists only if |Q| is above one at some frequency. These
+margins differ from the phase margins of ``control.stability_margins``, which belong to a feedback
+loop in time. The law v = Q (v + L e) feeds back only from trial to trial.
 """
 
 from dataclasses import dataclass
@@ -95,7 +95,7 @@ def inwards(distance: float) -> float:
 
 
 def margins(problem: Problem, L) -> Margins:
-    """Compute the margins of L, in units of `scale`, which hold for all plants of a problem."""
+    """Compute the margins of a filter L, given in units of `scale`, for all plants of a problem."""
     response, cutoff = problem.response, problem.lowpass.cutoff
     filters = _filters(problem, L)
     plants = [Perturbed(response, number, filters) for number in range(len(response.models))]
@@ -148,13 +148,14 @@ def _filters(problem, L) -> Filters:
     omega = phase_grid(poles, max(PHASE_STEP, turn / MOST_FOR_L)) / problem.Ts
     ends = _ends(problem.response)[0], np.pi / problem.Ts
     omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
-    # keep one of two frequencies that are nearly the same: the slope between them would be rounding
+    # Of two frequencies that are nearly the same, one is kept: the slope between the two values
+    # would be rounding.
     omega = omega[np.append(True, np.diff(omega) > SAME_FREQUENCY * omega[1:])]
     return Filters(omega, *(CubicSpline(omega, f.frequency_response(omega)) for f in (lowpass, L)))
 
 
 class Perturbed:
-    """A plant whose gain, delay, time scale or radius changes, with its filters Q and L."""
+    """A plant whose gain, delay, time scale or radius changes, with the filters Q and L."""
 
     def __init__(self, response: Response, number: int, filters: Filters):
         self.response, self.number, self.filters = response, number, filters
@@ -190,7 +191,7 @@ class Perturbed:
         return self._slower(1.0)
 
     def _slower(self, slower):
-        """Return the frequencies for P(a omega), and P and its radius at these frequencies."""
+        """Return the frequencies omega, and P(a omega) and its radius, for a = `slower`."""
         first, *_, nyquist = self.filters.omega
         omega = np.union1d(self.filters.omega, self.omega / slower)
         known = (slower * omega <= _ends(self.response)[1]) | (slower == 1)
@@ -198,7 +199,7 @@ class Perturbed:
         return omega, self._at(slower * omega)
 
     def _at(self, omega):
-        """Return P and its radius at any frequencies; outside their range, as at its ends."""
+        """Return P and its radius at any frequencies; outside the known range they are constant."""
         there = np.clip(omega, _ends(self.response)[0], self.filters.omega[-1])
         return self.response.anywhere(self.number, there)
 

@@ -18,8 +18,9 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     """Compute a lower bound on the optimum of (39) or (45) of the paper from multipliers.
 
     U_i and V_i are multipliers of the bounds on M and on L at frequency i. N_c are multipliers of
-    the additional bounds, called cuts, see :class:`.Cuts`. A change of the coefficients of L
-    changes M_i, L_i and G_c by dM_i, dL_i and dG_c. Suppose that every such change fulfils
+    the additional bounds, called cuts, see :class:`.Cuts`. Cut c bounds a norm of G_c = F_c + T_c L
+    by b_c. A change of the coefficients of L changes M_i, L_i and G_c by dM_i, dL_i and dG_c.
+    Suppose that every such change fulfils
 
         sum_i Re tr(U_i^H dM_i) + Re tr(V_i^H dL_i) + sum_c Re tr(N_c^H dG_c) = 0.
 
@@ -29,13 +30,13 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
             = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
             <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
 
-    where |.| are nuclear norms and W is :attr:`.Problem.L_bound`. G_c = F_c + T_c L is the matrix
-    that a cut bounds, and b_c is its bound. The norm nu, see :func:`dual_norm`, is dual to the norm
-    that b_c bounds.
+    where |.| are nuclear norms and W is :attr:`.Problem.L_bound`. The norm nu, see
+    :func:`dual_norm`, is dual to the norm of G_c that the cut bounds.
 
     If the objective is the sum (39), |U_i| may exceed the weight of sigma_max(M_i) in the
-    objective. The excess and all b_c are then bounded with M_max. If the objective is the peak
-    (45), sigma_max(M_i) and b_c are no larger than the objective itself.
+    objective. The lower bound is then reduced by M_max times the sum of all excesses and all
+    nu(N_c). If the objective is the peak (45), sigma_max(M_i) and b_c are no larger than the
+    objective itself.
 
     The function first projects the multipliers onto the space of all multipliers that fulfil the
     condition. The bound therefore holds up to rounding for any multipliers. A coefficient of L_jk

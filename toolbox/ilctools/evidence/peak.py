@@ -5,10 +5,10 @@ within a radius, the peak is estimated by the largest value on a dense grid and 
 Between the points, a parabola through three points gives the top of a local maximum, here called a
 crest.
 
-If P is a model, the peak is proved, because the poles of a system limit how much its response can
-rise between two frequencies. Let G(theta) = C (exp(j theta) I - A)^-1 B + D be the response of the
-system. Let a_1 ... a_n be the eigenvalues of A. If G is multiplied by a real Q = |H|^2 with a
-Butterworth filter H, the poles of H are included. Let
+If P is a model, an upper bound on the peak is proved, because the poles of a system limit how much
+its response can rise between two frequencies. Let G(theta) = C (exp(j theta) I - A)^-1 B + D be the
+response of the system. Let a_1 ... a_n be the eigenvalues of A. If G is multiplied by a real
+Q = |H|^2 with a Butterworth filter H, the poles of H are counted among a_1 ... a_n. Let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
@@ -41,9 +41,9 @@ at most max(sigma(a), sigma(b)) / cos(h / 2), with sigma = Q sigma_max(G). The v
 therefore prove an upper bound on the peak. Real systems have the same singular values at negative
 frequencies, so that the frequencies in [0, pi / Ts] are enough.
 
-The filter L = B K of :mod:`ilctools.base` is not a causal model. B also has poles outside the
-unit circle, which are its inner poles mirrored at the circle. On the circle, each factor of B is a
-trigonometric polynomial over |exp(j theta) - a|^2, with a pole a inside the circle. K looks at most
+The filter L = B K of :mod:`ilctools.base` is not a causal model. B also has poles outside the unit
+circle, which are its inner poles mirrored at the circle. On the circle, each factor of B is a
+trigonometric polynomial over |exp(j theta) - a|^2, with a pole a inside the circle. K uses at most
 k samples ahead or back. K is therefore a trigonometric polynomial of degree k, and counts as k
 poles at zero. In a product of systems, the degrees and the phases of the systems add.
 
@@ -87,8 +87,8 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
     """Find the peak of sigma_max(L) over all frequencies from `lowest` on, and its frequency.
 
     If `lowest` is zero, the peak is proven. Otherwise the peak is estimated by the largest value on
-    a grid and at the tops of its crests. The steps of the grid are `FINE_PHASE_STEP` in the phase
-    of the all-pass with the poles of L.
+    a grid and at the tops of the local maxima between its points. The steps of the grid are
+    `FINE_PHASE_STEP` in the phase of the all-pass with the poles of L.
     """
 
     def sigma(omega):
@@ -154,17 +154,18 @@ class Peak:
 
 
 def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
-    """Find the highest peaks of sigma_max(M), by the way in which they are known.
+    """Find the highest peaks of sigma_max(M), one for each way in which a peak can be known.
 
     The keys of the returned dict are "proven", `DEAF`, "estimated", `BELOW` and "assumed". A key
     without peaks is left out. If a plant is a model and Q is a filter, the peak for this plant
-    without its radius is "proven". Where P passes nothing, M is |Q| for any L. The key of a proven
-    peak at such a frequency is `DEAF`.
+    without its radius is "proven". Where P has no gain, sigma_max(M) is |Q| for any L. The key of a
+    proven peak at such a frequency is `DEAF`.
 
     If P or Q is known by samples, or if P has a radius, peaks come from a dense grid. Between the
     first and the last frequency of P, the key is "estimated". Below the first frequency, the key is
-    `BELOW`. Above the last frequency, the key is "assumed". Crests that are near `level` or above
-    it are also evaluated at their tops. For lower crests, the values are upper bounds.
+    `BELOW`. Above the last frequency, the key is "assumed". A crest is a local maximum on the grid.
+    Crests near `level` or above are also evaluated at their tops. The values of lower crests are
+    only upper bounds.
     """
     peaks = {"proven": [], DEAF: [], "estimated": [], BELOW: [], "assumed": []}
     for k, model in enumerate(problem.response.models):
@@ -207,7 +208,7 @@ def _sigma_M(problem, L, level, k, omega):
 
 
 def passes(P, L, peak) -> bool:
-    """Return whether P L has a gain at a peak; if it has none, M is |Q| there for any L."""
+    """Return whether P L has a gain at a peak; if not, sigma_max(M) is |Q| there for any L."""
     if not 1 - PASSES_NOTHING <= peak.sigma <= 1 + PEAK_TOLERANCE:
         return True
     [of_P], [of_L] = frequency_response(P, [peak.omega]), L.frequency_response([peak.omega])
@@ -258,7 +259,7 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
 
 
 def highest(peaks: list[Peak]) -> Peak:
-    """Return the highest of several peaks; if several are equally high, that of the first plant."""
+    """Return the highest of several peaks; among equal peaks, the peak of the first plant."""
     sigma = max(peak.sigma for peak in peaks)
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     return replace(min(level, key=lambda peak: peak.plant), sigma=sigma)

@@ -80,7 +80,7 @@ def _whom(problem):
 
 
 def _gains(certificate):
-    """Yield P at rest, cut-off, delay, the gain of L for each bound, and the norm of a trial."""
+    """Yield P at rest, the cut-off of Q, the delay, the gains of L, and the norm of a trial."""
     problem, trial = certificate.problem, certificate.settled_trial
     yield at_rest_in_words(problem.response)
     yield f"the cut-off of Q is {problem.lowpass.cutoff:.4g} rad/s"
@@ -154,7 +154,7 @@ def _limits(certificate):
 
 
 def _mean(certificate):
-    """Yield the predicted RMS errors if there is a reference, else the mean rate in the band."""
+    """Yield the predicted RMS errors if there is a reference, else the mean of sigma_max(M)."""
     problem, rms, mean = certificate.problem, certificate.predicted, certificate.mean_M
     nominal = " of the nominal plant" if problem.robust else ""
     if rms:

@@ -1,4 +1,4 @@
-"""How slowly may learning converge? The worst case over all plants that are possible.
+"""How slowly may learning converge? The worst case over all plants within a radius.
 
 At each frequency, the worst case is the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants
 P_k and over all errors Delta with ||Delta|| <= r, where r is the radius at this frequency. The
@@ -86,7 +86,7 @@ def worst_case(problem: Problem, L: Filter) -> WorstCase:
 
 
 def worst_sigma(problem, L, k, level):
-    """Return the worst sigma_max(M) of plant k as :func:`within_radius` computes it."""
+    """Return the worst sigma_max(M) of plant k within its radius, see :func:`within_radius`."""
     return within_radius(problem.plants[k], problem.Q, L, problem.response.radii, level)
 
 

@@ -61,7 +61,7 @@ class Maps:
         return (result @ self.learned_basis).ravel()
 
     def filtered(self, H, signals):
-        """Return P_k v_k from H, or P_k^T e_k from the adjoint of H, (plants, samples channels)."""
+        """Return P_k v_k from the responses H, or P_k^T e_k from the adjoints of H, by plant."""
         spectra = rfft(signals, self.length, axis=1)[..., None]
         made = irfft((H @ spectra)[..., 0], self.length, axis=1)[:, : signals.shape[1]]
         return made.reshape(len(made), -1)

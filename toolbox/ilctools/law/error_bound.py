@@ -1,8 +1,8 @@
-"""How far an error of the model may move an output within a trial.
+"""By how much an error of the model can change an output within a trial.
 
 Let Delta, the error of a model, be a stable, linear and causal system with
-||Delta(omega)|| <= r(omega). Let d be a signal of N samples, zero before and after. Then, at each
-sample t of the trial and in each output,
+||Delta(omega)|| <= r(omega). Let d be a signal of N samples that is zero before and after the
+trial. Then, at each sample t of the trial and in each output,
 
     |(Delta d)(t)| <= rho(d) = (1 / M) sum_j rt_j ||D_j||,                                      (1)
 
@@ -19,8 +19,8 @@ transform of the trapezoid is a difference of two Fejer kernels, which are posit
 has their sum, see docs/proofs.md. The sum costs a factor of (m + n) / (m - n), which is 1.033 for
 M = 32 N.
 
-Delta is causal, and therefore the values of d after t do not count at t. The trial is divided into
-blocks. If b denotes the end of the block that contains t, or of any later block, then
+Delta is causal, and therefore the values of d after t do not affect the output at t. The trial is
+divided into blocks. If b denotes the end of the block that contains t, or of any later block, then
 
     rho(t) = least rho(d up to b) among these b,                                                (3)
 

@@ -30,7 +30,7 @@ from ilctools.signals import Signals, check_match
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k), made of parts that fit.
+    """The law of iterative learning, v_{k+1} = Q (v_k + L e_k), made of checked parts.
 
     The law computes the signal v of the next trial from the signal and the error e_k of trial k,
     equation (23) of the paper. See D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
@@ -55,7 +55,7 @@ class Law:
         then takes the nearest v whose commands are within the limits. {} stands for no limits at
         all, also on a rig that has limits. Default: :func:`ilctools.record` takes the limits of the
         rig, and elsewhere there are none. The attribute is then :attr:`.LimitsOf.RIG`. If an
-        actuator has a rate limit, choose a reference that rises as slowly.
+        actuator has a rate limit, choose a reference that needs no faster change of the command.
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without a loop to their loop. They refuse a law for another loop.
@@ -65,11 +65,11 @@ class Law:
         trials are compared with the loop's P. :meth:`.Synthesis.law` sets this attribute. Neither a
         file of the law nor a log stores it.
     labels : Signals, optional
-        Names and units of the plant of a design. A loop with the same signals in another order is
-        refused. Neither a file of the law nor a log stores them.
+        Names and units of the signals of a design's plant. A loop with the same signals in another
+        order is refused. Neither a file of the law nor a log stores them.
     output_limits : OutputLimits, optional
         Limits of outputs, with what is known of the plant. :meth:`.Synthesis.law` makes them. Print
-        them to see what they guarantee.
+        this object to see what it guarantees.
 
     See Also
     --------
@@ -235,10 +235,10 @@ class Law:
         the commands are clipped to the limits instead.
 
         With limits of outputs, the change of v is shortened, or replaced by another change that
-        moves the outputs less towards their limits, see :mod:`.output_step`. If an output exceeded
-        its limit, the law takes a change after which all limits hold for sure. If there is no such
-        change, the law goes back to a share of the last w (v, or v plus the reference). With this
-        share, the last trial would have kept the limit.
+        brings the outputs less close to their limits, see :mod:`.output_step`. If an output
+        exceeded its limit, the law takes a change after which all limits hold for sure. If there is
+        no such change, the law goes back to a share of the last w, the signal that drove P: v, or v
+        plus the reference. With this share of w, the last trial would have kept the limits.
 
         Parameters
         ----------
@@ -250,17 +250,18 @@ class Law:
             Tracking error of the last trial, reference - y.
         u : array_like, shape (time, commands), optional
             Commands that the controller asked for: the controls of a CurrentTrialLoop, or the
-            inputs w of a ClosedLoop. Limits need them, also after the first trial.
+            inputs w of a ClosedLoop. If commands have limits, `u` is needed, also after the first
+            trial.
         applied : array_like, shape (time, commands), optional
             Commands that the actuators applied, as passed to the observer. Default: the saturated
             u.
         y : array_like, shape (time, p), optional
-            Outputs of the last trial. Limits of outputs need them.
+            Outputs of the last trial. If outputs have limits, `y` is needed.
         references : tuple of array_like, shapes (time, p), optional
-            References of the last trial and of the next one. Default: e + y, for both.
+            References of the last trial and of the next one. Default: e + y for both references.
         past : sequence of dict, optional
             Signals v, reference and y of the trials before the last one, in their order. With these
-            signals, learning within limits of outputs goes further.
+            signals, larger changes are possible within limits of outputs.
 
         Returns
         -------
@@ -304,9 +305,9 @@ class Law:
     ) -> tuple[np.ndarray, Step | None]:
         """Bring a target for the next v within the limits.
 
-        Returns the next v. Returns also the step that keeps limits of outputs, or None. The
-        arguments `v` and `applied` are the results of :meth:`applied`. The other arguments are as
-        for :meth:`next`.
+        Returns the next v, and the step that keeps limits of outputs. The step is None if outputs
+        have no limits, or if the law goes back to a share of the last w. The arguments `v` and
+        `applied` are the results of :meth:`applied`. The other arguments are as for :meth:`next`.
         """
         now, after = references or (np.zeros((*v.shape[:-1], self.columns)),) * 2
         moved = after - now
@@ -319,7 +320,7 @@ class Law:
         return self._keeping_outputs(target, v, applied, y, now, moved, past)
 
     def _keeping_outputs(self, target, v, applied, y, reference, moved, past):
-        """Keep the limits of outputs, as the second part of :meth:`within_limits`."""
+        """Change v such that the outputs keep their limits, as a part of :meth:`within_limits`."""
         if self.loop is None:
             raise ValueError(
                 "limits of outputs need the loop of the law: bind the law first, "
@@ -343,14 +344,14 @@ class Law:
         return v + step.change - (moved if added else 0), step
 
     def _done(self, part):
-        """Return the outputs of a trial, and the signal that drove P, as far as it was applied."""
+        """Return the outputs of a trial, and the part of the signal that really drove P."""
         v, reference, y = (np.asarray(part[name], float) for name in ("v", "reference", "y"))
         u = self.loop.asked(part)
         v, _ = self.applied(v, u, part.get("applied"))
         return Done(v + reference if self.loop.one_for_one else v, y)
 
     def _back(self, v, reference, y, moved):
-        """Compute v after a trial beyond a limit, from the share of w that would have kept it."""
+        """Compute v after a trial beyond a limit: a share of w with which the limit would hold."""
         kept = self.output_limits
         if not self.loop.one_for_one and self.loop.references:
             name = kept.region.outputs[int(kept.beyond(y).argmax())]
@@ -373,7 +374,7 @@ class Law:
             return _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
 
     def _names(self, signal, known, count):
-        """Return the names of the channels of v or e; refuse names that no loop puts in order."""
+        """Return the names of the channels of v or e; refuse names whose order no loop states."""
         if known or count is None:
             return known
         labels = arguments.names_of(signal) or [""] * count
@@ -386,7 +387,7 @@ class Law:
         return labels
 
     def applied(self, v, u, applied=None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return the part of v that was applied, and the applied commands; u was requested."""
+        """Return the part of v that was applied, and the applied commands; `u` was requested."""
         if self.actuators is None:
             return v, applied
         if u is None:

@@ -1,11 +1,11 @@
 """Limits of commands: what actuators apply, and the projection of v onto the limits.
 
 Section III of the paper has no limits of commands. A projection onto a convex set never increases
-the distance of two signals, measured in its own norm. A convergence rate in that norm therefore
-holds within the limits, too. If the ends of trials are neglected, this rate is the largest value of
-sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), where W = P^H P + weight I. Let d be the difference between
-v and the v to which learning converges. In each trial, the root of ||P d||^2 + weight ||d||^2 is
-multiplied by at most this rate.
+the distance of two signals, measured in the norm of the projection. A convergence rate in this norm
+therefore also holds if v is projected onto the limits. If the ends of trials are neglected, this
+rate is the largest value of sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), where W = P^H P + weight I.
+Let d be the difference between v and the v to which learning converges. In each trial, the root of
+||P d||^2 + weight ||d||^2 is multiplied by at most this rate.
 """
 
 from collections.abc import Sequence

@@ -38,7 +38,7 @@ class Rows(NamedTuple):
 
 
 class Norm(NamedTuple):
-    """The cost of a change z that moves outputs by y: sum(errors y^2) + change sum(z^2)."""
+    """The cost of a change z that changes outputs by y: sum(errors y^2) + change sum(z^2)."""
 
     change: float
     errors: np.ndarray | float = 1.0  # (time, p)
@@ -68,7 +68,7 @@ def nearest(
     """Compute the change z of least cost that keeps the limits, shape (active, m).
 
     The solver's tolerances are absolute. Therefore z is computed in units of `unit`, the expected
-    size of z. Limits of signals that z does not move are ignored.
+    size of z. Limits of signals that z does not change are ignored.
     """
     cost, dynamics, matrix = _program(P, norm, samples, active, limited)
     low, high = (

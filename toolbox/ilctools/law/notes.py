@@ -104,7 +104,7 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 
 
 def is_newer(note: str) -> bool:
-    """Whether a note needs the second file format: L looks back, has a base, or is no filter."""
+    """Whether a note needs the second format: L looks back, has a base, or is not a filter."""
     return '"first":' in note or '"samples":' in note
 
 
@@ -161,7 +161,10 @@ def _filter_note(L):
 
 
 def _base_note(B):
-    """Return the note of a base; E is written only if :func:`_stacked` would not give it."""
+    """Return the note of a base B, see :mod:`ilctools.base`.
+
+    The matrix E of the base is written only if :func:`_stacked` would not give the same E.
+    """
     note = {"b": B.b, "scale": B.scale, "P": B.P}
     if not np.array_equal(B.E, _stacked(B.P)):
         note["E"] = B.E
@@ -169,7 +172,7 @@ def _base_note(B):
 
 
 def _stacked(P):
-    """Return E for square models stacked in P, for notes without E; None if P is no stack."""
+    """Return the matrix E of a base for stacked square models P; None if P is not a stack."""
     copies, rest = divmod(P.noutputs, P.ninputs)
     return None if rest else isometry(copies, P.ninputs)
 

@@ -92,7 +92,7 @@ class OutputLimits:
         return np.maximum(-self.distance(y), 0)
 
     def room(self, y) -> Room:
-        """Compute the room, (6) in `output_step`, that a trial with the outputs y has left."""
+        """Compute the room of a trial with the outputs y, see (6) in :mod:`.output_step`."""
         low, high = self.ends(len(y))
         return Room(y - low - 2 * self.n, high - 2 * self.n - y)
 
@@ -110,8 +110,9 @@ class OutputLimits:
     def safe_share(self, y) -> float:
         """Compute the share b of the last w with which the trial would have kept the limits.
 
-        The trial begins at rest, and y (time, p) are its outputs. The share is correct for all
-        linear plants, if no disturbance repeats:  high - n >= y_0 + b (y + n - y_0).
+        The trial begins at rest, and y (time, p) are its outputs. If no disturbance repeats, the
+        share is correct for all linear plants. With the first sample y_0 of y, the condition at the
+        upper limit is high - n >= y_0 + b (y + n - y_0).
         """
         low, high = self.ends(len(y))
         moves = y - y[0]
@@ -153,7 +154,8 @@ class OutputLimits:
         norm : Norm
             The norm of (7) in :mod:`.output_step`, in units of `scale`.
         active : int
-            Number of samples in which a program may choose the change. After them, v is at rest.
+            Number of samples in which a program may choose the change. After these samples, v is
+            zero.
         commands : Commands, optional
             Limits of commands, which hold for changes that programs find.
         """
@@ -176,9 +178,10 @@ class OutputLimits:
         )
 
     def _comparable(self, past):
-        """Return the trials from the last trial beyond a limit on.
+        """Return the last trial in which an output exceeded a limit, and all later trials.
 
-        Before this trial, conditions may have been different.
+        In earlier trials, conditions may have been different. If no output exceeded a limit, all
+        trials are returned.
         """
         broken = [k for k, done in enumerate(past) if self.beyond(done.y).any()]
         return past[max(broken, default=0) :]

@@ -1,8 +1,8 @@
-"""The quadratic program that finds a change of w which needs less room than the law's own change.
+"""The quadratic program for a change of w that needs less room than the law's own change.
 
-The room of an output is its distance from its limit. The program minimises the cost (7) of
-:mod:`.output_step`, and :mod:`.nearest` solves it. Limits of outputs are tightened by a share theta
-of what the error of a plant's model may add to the output.
+The signal w drives P. The room of an output is its distance from its limit. The program minimises
+the cost (7) of :mod:`.output_step`, and :mod:`.nearest` solves it. Limits of outputs are tightened
+by a share theta of what the error of a plant's model may add to the output.
 """
 
 from collections.abc import Sequence
@@ -51,8 +51,9 @@ class Program:
     def change(self, spreads: Sequence[Spread], theta: float) -> np.ndarray:
         """Find the change of least cost within limits that are tightened by theta times the radii.
 
-        The radii are taken from `spreads`, which hold the spread of the law's change for each
-        plant. Raises a NotFound if there is no such change.
+        The radii are taken from `spreads`. For each plant, a spread holds the least and the
+        greatest change of y that the law's own change may cause. Raises a NotFound if there is no
+        such change.
         """
         least = [self.room.share(spread).min() for spread in spreads]
         some = np.union1d(0, np.argsort(least)[:MOST_PLANTS])  # the nominal plant defines the cost

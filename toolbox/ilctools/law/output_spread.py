@@ -1,4 +1,4 @@
-"""Bounds of the change of outputs from a trial to the next, by a model and by earlier trials.
+"""Bounds of the change of outputs from one trial to the next, by a model and earlier trials.
 
 The equations (4) to (6) are in :mod:`.output_step`.
 """
@@ -40,12 +40,12 @@ class Spread(NamedTuple):
 
     @property
     def radius(self) -> np.ndarray:
-        """The most by which the error of the model may move y from the expected change."""
+        """The most by which the change of y may differ from the expected change."""
         return (self.most - self.least) / 2
 
 
 class Room(NamedTuple):
-    """How far outputs may move down and up before they reach a limit, (6); shapes (time, p)."""
+    """How far outputs may fall and rise before they reach a limit, (6); shapes (time, p)."""
 
     down: np.ndarray
     up: np.ndarray

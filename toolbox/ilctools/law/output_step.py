@@ -1,4 +1,4 @@
-"""Find the next trial's signal that keeps limits of outputs, if P has a known radius of error.
+"""Find the next trial's signal that keeps limits of outputs, if the error of P is bounded.
 
 Trial k was driven by w_k = r + v_k, and y_k was measured. The next trial is driven by w_k + d. The
 next outputs are y_k + P d + Delta d, plus a part that does not repeat from trial to trial. Delta is
@@ -11,12 +11,12 @@ Earlier trials can tighten this bound. For any numbers c_j
 
     d = sum c_j (w_j - w_k) + d',    y_{k+1} - y_k = sum c_j (y_j - y_k) + P d' + Delta d',     (5)
 
-where the error of P acts on d' only. The outputs of the other part were measured, with an error of
-at most 2 n sum |c_j|. At each sample the tighter of the bounds (4) and (5) is used. If an earlier
-trial contradicts (4), another disturbance acted in that trial, and (5) leaves the trial out. The
-*need* of d is how far y may move towards a limit by (4) and (5), without the term 2 n. The need
-grows in proportion to d. The *room* is the distance to the limit, less 2 n. The largest share alpha
-of d that keeps all limits in the next trial is
+where the error of P acts on d' only. The outputs of the other part of d were measured, with an
+error of at most 2 n sum |c_j|. At each sample the tighter of the bounds (4) and (5) is used. If an
+earlier trial contradicts (4), another disturbance acted in that trial, and (5) leaves the trial
+out. The *need* of d is the largest change of y towards a limit by (4) and (5), without the term
+2 n. The need grows in proportion to d. The *room* is the distance to the limit, less 2 n. The
+largest share alpha of d that keeps all limits in the next trial is
 
     alpha = min(1, least of room / need),    room = high - 2 n - y_k,    or y_k - low - 2 n,    (6)
 
@@ -49,8 +49,8 @@ BACK_THETAS = (1.2, 2.0)  # shares theta that are tried after a trial beyond a l
 def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | None:
     """After a trial beyond a limit, find a change with which all limits hold for sure.
 
-    Returns None if no change is found. Earlier trials are not used, because something may have
-    changed since.
+    Returns None if no change is found. Earlier trials are not used, because the plant or a
+    disturbance may have changed since then.
     """
     plants, room = program.plants, program.room
     spreads = [plant.spread(program.wanted, now, [], noise) for plant in plants]

@@ -14,19 +14,20 @@ Let e_0 be the error without learning. For a = 1
     e(t) = M e(t - N) + f(t),    f(t) = e_0(t) - Q e_0(t - N) + P w(t),
     ||e|| <= ||f|| / (1 - gamma)
 
-in the energy of the signals from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is
-the part of the law's signal that no trial applies. This part belongs to the first period. It covers
-the samples after t = N that Q and L look ahead to, and the samples before t = N that Q looks back
-to. In the periodic motion, the bound holds for every a, with RMS values as norms and f = (1 - Q)
-e_0. If the period of a signal differs from N by a fraction p, about 2 sin(pi k p) of its harmonic k
-remains. The law cannot detect a wrong period.
+where ||.||^2 is the energy of a signal from the start to any time. Here
+w(t) = Q (v + L e)(t - N) - v(t) is the part of the law's signal that no trial applies. This part
+belongs to the first period. It covers the samples after t = N that Q and L look ahead to, and the
+samples before t = N that Q looks back to. In the periodic motion, the bound holds for every a, with
+RMS values as norms and f = (1 - Q) e_0. If the period of a signal differs from N by a fraction p,
+about 2 sin(pi k p) of its harmonic k remains. The law cannot detect a wrong period.
 
-Proof. Because det(I - XY) = det(I - YX), v has the characteristic equation
-det(I - z^-N M(z)) = 0. With a learning gain, M is replaced by M_a = (1 - a) I + a M, and
-sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N, z^-N M(z) is causal. It is analytic in
-|z| >= 1, because P is. By the maximum principle, its largest singular value in |z| >= 1 is at most
-gamma. Therefore no root lies in |z| >= 1 (small gain). The equation of e follows from
-P v = e_0 - e, because Q commutes with P. The delayed M is causal and has the norm gamma.
+Proof. Because det(I - XY) = det(I - YX), v has the characteristic equation det(I - z^-N M(z)) = 0.
+With a learning gain, M is replaced by M_a = (1 - a) I + a M, and
+sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N, z^-N M(z) is causal. This product is
+analytic in |z| >= 1, because P is analytic there. By the maximum principle, the largest singular
+value of the product in |z| >= 1 is at most gamma. Therefore no root lies in |z| >= 1 (small gain).
+The equation of e follows from P v = e_0 - e, because Q commutes with P. The delayed M is causal and
+has the norm gamma.
 
 :func:`ilctools.synthesise` with ``everywhere=True`` proves the condition also between the
 frequencies of its grid. The theorem does not cover limits at which commands saturate, nor a shorter
@@ -46,9 +47,10 @@ NEGLIGIBLE_OF_M = 1e-6  # largest error of M by truncating the response of Q, if
 
 
 def finite_response(law: Law) -> np.ndarray:
-    """Return the impulse response of Q, symmetric in time, truncated as far as this L permits.
+    """Return the impulse response of Q, symmetric in time, truncated where it is negligible.
 
-    The error of M = Q (I - P L) that the truncation causes is proportional to the size of L.
+    The truncation causes an error of M = Q (I - P L), which is proportional to the size of L. A
+    larger L therefore needs a longer response.
     """
     gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
     return _cut(law.Q, NEGLIGIBLE_OF_M / max(1.0, gain))
@@ -56,7 +58,7 @@ def finite_response(law: Law) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
-    """Return the impulse response of Q without ends that hold the fraction `share` of its sum."""
+    """Return the impulse response of Q without the ends, which sum up to the fraction `share`."""
     impulse = np.zeros((2 * Q.decay + 1, 1))
     impulse[Q.decay] = 1
     h = Q.apply(impulse)[:, 0]

@@ -4,7 +4,7 @@
 
 The third bound holds at and above a frequency that the user chooses. To add a kind of bound, add a
 claim to :attr:`Bounds.claims`. The solver uses :meth:`Bounds.limit_on_L` and M_max. The grid, the
-certificate and the messages loop over all claims, so that none can be left out.
+certificate and the messages loop over all claims, so that no claim can be left out.
 """
 
 from dataclasses import dataclass, replace

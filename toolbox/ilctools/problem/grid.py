@@ -26,12 +26,12 @@ FREQUENCIES_PER_SAMPLE = 10  # between two samples
 
 
 def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
-    """Return the problem at all frequencies that need bounds, and which ones the user stated.
+    """Return the problem at all frequencies that need bounds, and a mask of the user's omega.
 
     If the bounds hold `everywhere`, M and L are also bounded between the frequencies omega.
     Otherwise only L is bounded between these frequencies, if omega is too coarse for L. Bounds are
-    also added above the last sample of P, where only the size of P is known. The second result is a
-    mask of the frequencies that belong to omega.
+    also added above the last sample of P, where only the size of P is known. The mask selects the
+    frequencies that belong to the user's omega.
     """
     between = problem.bounds.everywhere or _is_coarse(problem)
     if not between and problem.response.beyond is None:
@@ -127,7 +127,7 @@ def _above(problem, omega, M_max, shrink):
 
 
 def _joined(problem, omega, P, Q, radius):
-    """Add frequencies to a problem, which do not count in its objective."""
+    """Add further frequencies to a problem; they do not count in its objective."""
     response = problem.response
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 

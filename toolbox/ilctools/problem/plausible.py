@@ -11,11 +11,11 @@ or at nine tenths of the Nyquist frequency. In rad/s the number 1 / (2 Ts) has n
 few tables in rad/s end there. If a table in Hz ends exactly at 1 / (2 Ts), P must be real at this
 frequency. If the imaginary part there exceeds the noise, the table is in rad/s. If the table ends
 at another frequency, its phase does not show the unit. In the wrong unit, a delay of one sample
-becomes a delay of six samples, which is also possible. As a test of the unit, rational functions of
-z = exp(j omega Ts) with up to four poles were fitted to tables of 44 plants. For about ten plants,
-the fit is at least three times better in Hz, although the table is in rad/s. These tables end at a
-tenth of the Nyquist frequency, and the functions resolve slow poles better in Hz. This test is
-therefore not used.
+becomes a delay of six samples, which is also plausible. As a test of the unit, rational functions
+of z = exp(j omega Ts) with up to four poles were fitted to tables of 44 plants. For about ten
+plants, the fit is at least three times better in Hz, although the table is in rad/s. These tables
+end at a tenth of the Nyquist frequency, and the functions resolve slow poles better in Hz. This
+test is therefore not used.
 
 **Rest.** A loop that tracks a reference has the gain one at zero frequency. A gain of minus one
 there is probably a wrong sign. If the observer of a loop integrates, P is the identity at zero
@@ -42,12 +42,12 @@ ROUNDED_TO_ZERO = 1e-9  # of the largest gain: rounding
 
 
 def doubts(response: Response) -> list[Finding]:
-    """Return the findings that speak against the nominal plant that the user passed."""
+    """Return findings about what looks wrong in the nominal plant that the user passed."""
     return [*_of_signals(response), *_of_tables(response)]
 
 
 def _of_signals(response):
-    """Yield findings on outputs in several units without a scale, and on directions left out."""
+    """Yield findings on outputs in several units without a scale, and on omitted directions."""
     (outputs, inputs), signals = response.names, response.signals
     units = {signals.units.get(name, "") for name in outputs} - {""}
     if len(units) > 1 and response.scale.is_one:
@@ -59,7 +59,7 @@ def _of_signals(response):
 
 
 def _of_tables(response):
-    """Yield findings on a table, or on a response that should be the identity at rest."""
+    """Yield findings on a table, or on a response that should be the identity at zero frequency."""
     P, omega = response.P[0], response.omega
     at_first = f"at {omega[0]:.4g} rad/s"
     is_table = response.models[0] is None and response.low is None

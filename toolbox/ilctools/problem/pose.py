@@ -103,8 +103,9 @@ def checked_M_max(M_max) -> float:
 def _base(response, lowpass, structure, share, L_max, reach, chosen):
     """Make B of L = B K, the regularised inverse (P* P + b^2)^-1 P*.
 
-    If `share` is "auto", b is 1 / (2 L_max). B is then made for all plants, and L = B keeps L_max.
-    If `share` is a number, b is this share of the largest sigma_max(P) up to the cut-off of Q.
+    If `share` is "auto", b is 1 / (2 L_max). B is then made for all plants, and the gain of L = B
+    is at most L_max. If `share` is a number, b is this share of the largest sigma_max(P) up to the
+    cut-off of Q.
     """
     pooled = share == defaults.CHOOSE
     if pooled:
@@ -161,7 +162,7 @@ def _order(response, cutoff, order, base, chosen):
 
 
 def _objective(response, cutoff, Q, kind, band, reference, chosen):
-    """Make the objective: a peak, or a sum over a band or weighted by a reference's first error."""
+    """Make the objective: a peak, a sum over a band, or a sum weighted by the first error."""
     summed = arguments.choice("objective", kind, ["sum", "peak"]) == "sum"
     error = None
     if reference is None:
@@ -232,9 +233,10 @@ def _bound_from(L_high, response):
 
 
 def _gain(response, lowpass, M_max, pooled):
-    """Compute the default L_max; if `pooled`, this L_max decides b of L = B."""
+    """Compute the default L_max; if `pooled`, L_max determines b of the regularised inverse B."""
     omega, cutoff = response.omega, lowpass.cutoff
-    # A singular value below the radius may be zero in truth, so that the radius replaces it.
+    # The true singular value may be zero if the computed one is below the radius. The radius
+    # therefore replaces smaller values.
     smallest = np.maximum(_smallest_singular_values(response, cutoff), response.radii)
     if not pooled:
         return defaults.gain(cutoff, smallest, omega)
@@ -243,7 +245,7 @@ def _gain(response, lowpass, M_max, pooled):
 
 
 def _smallest_singular_values(response, cutoff):
-    """Compute the least singular values of the nominal plant, (n,); refuse a singular plant."""
+    """Compute the smallest singular values of the nominal plant, (n,); refuse a singular plant."""
     omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
     # Up to the cut-off, `size` is the largest singular value at all frequencies. Above the cut-off,
     # it is the largest singular value at the same frequency.
@@ -255,7 +257,7 @@ def _smallest_singular_values(response, cutoff):
 
 
 def refuse_singular(response):
-    """Refuse plants that are singular at all frequencies: no cut-off can be chosen for them."""
+    """Refuse plants that are singular at all frequencies, because they allow no cut-off."""
     for k, P in enumerate(response.P):
         values = np.linalg.svd(P, compute_uv=False)
         if np.all(values[:, -1] <= SINGULAR * values.max()):

@@ -143,7 +143,7 @@ class Problem:
 
     @property
     def radius(self) -> np.ndarray | None:
-        """Radius r, (n,): bounds hold for P + Delta with ||Delta|| <= r; None: only for P."""
+        """Radius r, (n,): bounds hold for P + Delta with ||Delta|| <= r. None stands for zero."""
         return self.response.radius
 
     @property
@@ -168,11 +168,11 @@ class Problem:
         return self.objective.value(np.abs(self.Q))
 
     def gap_scale(self, value) -> float:
-        """Return the number to which a duality gap is relative.
+        """Return the number by which a duality gap is divided.
 
         The number is the objective, but at least a hundredth of the objective for L = 0. If the
-        objective is smaller than this, one trial leaves almost no error, and rounding decides the
-        digits of the objective.
+        objective is smaller than this hundredth, one trial leaves almost no error, and rounding
+        decides the digits of the objective.
         """
         return max(value, 1e-2 * self.idle)
 
@@ -241,7 +241,7 @@ class Problem:
 
     @property
     def L_bound_beside(self) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of the frequencies of the bound beside `L_bound`, and its W, (k, m, m).
+        """Frequency indices, and W (k, m, m), of the bound L_high that `L_bound` leaves out.
 
         Only the objective "gain" has such a bound.
         """
@@ -251,12 +251,12 @@ class Problem:
 
     @property
     def first_sample(self) -> int:
-        """The power of z of the first coefficient: K looks as far back as ahead, L only ahead."""
+        """The power of z of the first coefficient; K uses samples ahead and back, L only ahead."""
         return 1 if self.base is None else -((self.order - 1) // 2)
 
     @cached_property
     def of_K(self) -> np.ndarray | None:
-        """B times a shift in time, turned, at omega: L = `of_K` times `K(solution)`.
+        """B times a shift in time, turned, at omega; its product with `K(solution)` is L.
 
         The response is in units of `scale`. It is None if there is no base, so that L is K.
         """
@@ -330,7 +330,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Cuts:
-    """Bounds for further plants or for a radius r, which the solver had to add, and multipliers.
+    """Bounds for further plants or for a radius r that the solver had to add; multipliers N.
 
     The bounded matrix is G = M, or G = [M; |Q| r L] for a radius r.
     """

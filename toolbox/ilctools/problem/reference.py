@@ -1,4 +1,4 @@
-"""The error in the first trial of a reference r, which is to be learned, and its spectrum.
+"""The error in the first trial of a reference r, and the spectrum of this error.
 
 If v is added to the reference of each output, the first error is e_1 = (I - P) r. Otherwise the
 first error is e_1 = (I - P_r) r. Here P_r is the response of the loop to references, which is taken
@@ -48,7 +48,7 @@ def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nominal(response, angles):
-    """Return frequencies and the nominal P at them; outside its samples, P is as at their ends."""
+    """Return frequencies, and the nominal P there; P is constant outside its samples."""
     omega = angles / response.Ts
     if response.models[0] is None:
         omega = omega.clip(*response.omega[[0, -1]])

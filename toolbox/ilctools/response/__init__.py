@@ -1,1 +1,1 @@
-"""What is known of P: one object, which :mod:`.door` makes and checks once."""
+"""Frequency responses of plants in one object, which :mod:`.door` makes and checks once."""

@@ -1,14 +1,14 @@
 """Directions of outputs or inputs in which a plant has no gain at any frequency.
 
-An example is the difference between two sensors at the same place, which no input moves. Let U and
-V have orthonormal columns, such that at all frequencies
+An example is the difference between two sensors at the same place, which no input changes. Let U
+and V have orthonormal columns, such that at all frequencies
 
     P = U (U' P V) V'.
 
-The error in the directions orthogonal to U then remains for any v. A v orthogonal to V moves no
+The error in the directions orthogonal to U then remains for any v. A v orthogonal to V changes no
 output. A filter L is therefore designed for U' P V, and V L U' is the filter for P. Both have the
-same M in the directions of U and V. Among outputs and inputs, M acts on the side with fewer
-channels. Only on this side, directions are left out.
+same M in the directions of U and V. M acts on the outputs or on the inputs, whichever have fewer
+channels. Directions are left out only among these channels.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ NAMED = 0.05  # a message names the channels with a larger share in a direction
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """The output directions that inputs can move, and the input directions that move outputs.
+    """The output directions that inputs can change, and the input directions that change outputs.
 
     The directions are the orthonormal columns of U and V.
     """
@@ -32,7 +32,7 @@ class Directions:
 
     @classmethod
     def passed_by(cls, responses) -> "Directions | None":
-        """Find the directions from responses (plants, n, p, m); None if all directions count."""
+        """Find directions from responses (plants, n, p, m); None if P has a gain in all of them."""
         p, m = responses.shape[2:]
         parts = np.concatenate([responses.real, responses.imag]).reshape(-1, p, m)
         U = _spanned(np.moveaxis(parts, 1, 0).reshape(p, -1)) if p <= m else np.eye(p)

@@ -23,7 +23,8 @@ CHOSEN_FREQUENCIES = 1000  # number of frequencies of the default grid, as in th
 LOWEST_CUTOFF = 1e-4  # share of the Nyquist frequency: the lowest default cut-off of Q
 DECADES = 3  # of the default grid below the cut-off of Q, as in the paper: 1e-4 to 0.1 rad/s
 FROM_ONE = 0.3  # distance from the identity up to which P counts as the identity
-# relative accuracy of a table: of its last frequency, and of P, which is real at Nyquist's
+# Relative accuracy of the last frequency of a table, and of P at the Nyquist frequency, where P is
+# real.
 PRINTED_DIGITS = 1e-6
 
 
@@ -120,7 +121,7 @@ def _on_omega(plants, uncertainty, omega, Ts, Q):
 
 
 def _accuracy(P, nominal, omega, uncertainty, scale):
-    """Return the radius of a measured response, or of the user, with its assumptions."""
+    """Return the radius that a measured response or the user states, with its assumptions."""
     if isinstance(P, Measured):
         if uncertainty is not None:
             raise ValueError(
@@ -213,8 +214,9 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
 
     If a plant is a table of python-control, the frequencies of the table are used. Otherwise the
     grid is logarithmic and ends at the Nyquist frequency. The grid begins `DECADES` decades below
-    the cut-off of Q. If Q is None, the grid begins as for the lowest cut-off. If a plant is a
-    measured response, the grid does not begin below the first frequency that its record resolves.
+    the cut-off of Q. If Q is None, the grid begins `DECADES` decades below the lowest default
+    cut-off. If a plant is a measured response, the grid does not begin below the first frequency
+    that its record resolves.
     """
     sampled = [plant for plant in plants if not isinstance(plant, Loop | control.LTI)]
     for plant in plants:
@@ -234,10 +236,10 @@ def frequencies(plants, Ts, Q=None) -> np.ndarray:
 
 
 def _first_of(measured, Q):
-    """The lowest frequency at which a measured response is used.
+    """Return the lowest frequency at which a measured response is used.
 
-    This is the first frequency that the record resolves. If the cut-off of Q is lower, it is the
-    first frequency at which the response is known.
+    This is the first frequency that the record resolves. If the cut-off of Q is lower, the first
+    frequency at which the response is known is used instead.
     """
     omega = measured.omega
     known = omega[getattr(measured, "known", omega > 0)][0]

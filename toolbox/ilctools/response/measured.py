@@ -84,7 +84,8 @@ class Measured:
     def _anywhere(self, omega, confidence):
         """Interpolate P by :mod:`.samples`.
 
-        Above the last line, P may have any value that is not larger than at this line.
+        Above the last measured frequency, P may have any value that is not larger than at this
+        frequency.
         """
         samples = self._samples(confidence)
         P, radius = samples.at(omega)
@@ -92,7 +93,7 @@ class Measured:
         return P, radius + np.where(above, 2 * largest_singular_values(P), 0)
 
     def _between(self, omega, confidence):
-        """Yield what is assumed about P at omega between and outside the measured lines."""
+        """Yield what is assumed about P at omega between and outside the measured frequencies."""
         yield Assumed(
             "between the lines, the error of the splines of P is not larger than at "
             "lines that are left out"
@@ -137,10 +138,10 @@ class Measured:
 
         The states are found from the Hankel matrix of the impulse response (S. Kung, 12th Asilomar
         Conference (1978) 705-714). The impulse response is the inverse Fourier transform of P,
-        which :meth:`on` returns at all frequencies. B and D are then fitted to the measured lines
-        by least squares. The model has the fewest states with which its distance from the response
-        is small enough at all lines. The limit on the distance is the radius or a hundredth of the
-        largest gain, whichever is larger.
+        which :meth:`on` returns at all frequencies. B and D are then fitted to the measured
+        response by least squares. The model has the fewest states with which its distance from the
+        response is small enough at all measured frequencies. The limit on the distance is the
+        radius or a hundredth of the largest gain, whichever is larger.
 
         Returns
         -------
@@ -185,12 +186,13 @@ class Measured:
         return best
 
     def plot(self) -> Figure:
-        """Draw gain and phase of P, with the radius for a joint probability of 99 %.
+        """Draw gain and phase of P, with a band whose half width is the radius.
 
-        Each entry of P has its own column. If the radius exceeds nine tenths of the gain at a
-        frequency, P is hardly identified there. The radius is then drawn down to a tenth of the
-        gain. If the rig was excited periodically, the plot also shows the standard deviations of P
-        that come from noise and from nonlinearity.
+        The radius holds at all frequencies together with a probability of 99 %. Each entry of P has
+        its own column. If the radius exceeds nine tenths of the gain at a frequency, P is hardly
+        identified there. The lower edge of the band is then drawn at a tenth of the gain. If the
+        rig was excited periodically, the plot also shows the standard deviations of P that come
+        from noise and from nonlinearity.
 
         Returns
         -------
@@ -226,7 +228,7 @@ class Measured:
 
 
 def _nearest_with(A, C, measured, near) -> control.StateSpace:
-    """Fit B and D of a model with these A and C to the response, with errors relative to `near`."""
+    """Fit B and D of a model with given A and C to `measured`; errors are relative to `near`."""
     Ts, P = measured.loop.Ts, measured.response
     z, n = np.exp(1j * measured.omega * Ts), len(A)
     states = np.linalg.solve((z[:, None, None] * np.eye(n) - A).swapaxes(1, 2), C.T[None])
@@ -251,7 +253,7 @@ def radius_of(uncertainty, P) -> np.ndarray:
 
 
 def with_phase(name: str, P) -> np.ndarray:
-    """Return a table P (n, p, m); refuse a real P that is not constant: no causal plant has it."""
+    """Return a table P (n, p, m); refuse a real P that is not constant, as no causal plant is."""
     if not P.imag.any() and np.ptp(P.real, axis=0).any():
         raise ValueError(
             f"{name} is real at each frequency, but not constant, as no plant is: is it a gain "

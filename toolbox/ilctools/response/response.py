@@ -1,4 +1,4 @@
-"""What is known of P: frequency responses of plants at, between and outside their frequencies.
+"""Frequency responses of plants: P at its given frequencies, between them, and outside them.
 
 P of a model is known at all frequencies. If P is known by samples, :mod:`.samples` gives P between
 the samples and below the first sample. A response that was estimated from a record has its own P
@@ -38,7 +38,8 @@ class Response:
     signals: Signals  # of the nominal plant
     assumptions: tuple[str | Assumed, ...] = ()  # of a measured P and its radius, in words
     added: bool = True  # whether each v is added to the reference of an output
-    # if not `added`: the response of the loop to references, in units of `scale.y`, if known
+    # The response of the loop to references, in units of `scale.y`, if `added` is False and the
+    # response is known.
     of_reference: control.StateSpace | None = None
     directions: Directions | None = (
         None  # the directions to which P is restricted; None: P has a gain in all directions

@@ -36,12 +36,12 @@ the latest. P is then taken to have any value that is not larger than at omega_1
 a sigma_max(M) below |Q| there.
 
 The region was tested on 30 plants. With omega_1 at 1/1000, 1/100, 1/50, 1/20 and 1/10 of the
-cut-off, the region contains 30, 29, 28, 24 and 24 of these plants. The region does not contain a
-plant with a slow mode of small gain below omega_1. Only the certificate uses this region. The
-design does not bound M in the region, because no filter has a sigma_max(M) below |Q| d at zero
-frequency. Among 58 designs of a finite filter, seven exceeded M_max = 0.9 there, and all seven had
-d above 0.7. If the numbers of inputs and outputs differ, the region is replaced by a ball that
-contains it, with the radius d sigma_max(Re P(omega_1)). Rates are then larger.
+cut-off, the region contains 30, 29, 28, 24 and 24 of these plants, respectively. The region does
+not contain a plant with a slow mode of small gain below omega_1. Only the certificate uses this
+region. The design does not bound M in the region, because no filter has a sigma_max(M) below |Q| d
+at zero frequency. Among 58 designs of a finite filter, seven exceeded M_max = 0.9 there, and all
+seven had d above 0.7. If the numbers of inputs and outputs differ, the region is replaced by a ball
+that contains it, with the radius d sigma_max(Re P(omega_1)). Rates are then larger.
 """
 
 from dataclasses import dataclass
@@ -113,7 +113,7 @@ class Samples:
         return np.maximum(self._over[1] - self.radius, 0)
 
     def radius_at(self, omega) -> np.ndarray:
-        """Interpolate the radius by straight lines, (k,); outside the samples, as at their ends."""
+        """Interpolate the radius by straight lines, (k,); it is constant outside the samples."""
         return np.interp(self._place(omega), self.axis(self.omega), self.radius)
 
     def at(self, omega) -> tuple[np.ndarray, np.ndarray]:

@@ -33,7 +33,7 @@ class ControlledRig:
         return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
 
     def begin(self, trial: int) -> None:
-        """Bring the rig to where trials begin, if it can; then reset the controller."""
+        """Bring the rig to where trials begin, if the rig can do so; then reset the controller."""
         self.place = f"trial {trial}"
         if self.about.begin:
             self.interrupts.call(self.about.begin, trial)
@@ -78,7 +78,7 @@ class ControlledRig:
         return joined(samples, np.array)
 
     def check_clock(self) -> None:
-        """Note by how much a sample is early or late by the clock of the rig, if it has a clock."""
+        """If the rig has a clock, note by how much a sample is early or late."""
         if self.about.clock:
             now = float(self.reading("clock", self.about.clock(), ()))
             due = now if self.due is None else self.due
@@ -147,7 +147,7 @@ class ControlledRig:
                 )
 
     def apply(self, applied, flows) -> None:
-        """Send the commands and the commanded disturbances; inputs that are neither are zero."""
+        """Send the commands and the commanded disturbances; set all other inputs to zero."""
         inputs = np.zeros(len(self.about.signals.inputs))
         inputs[self.about.signals.places] = np.concatenate([applied, flows])
         self.interrupts.call(self.about.driver.apply, inputs)

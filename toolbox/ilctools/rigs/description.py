@@ -72,7 +72,7 @@ class RigDescription:
 
     @property
     def controller_is_ours(self) -> bool:
-        """Whether the controller runs here and sends u; else the rig's own controller takes w."""
+        """Whether our controller runs and sends u; otherwise the rig's own controller takes w."""
         return isinstance(self.loop, CurrentTrialLoop)
 
     def rounded(self, signal: str, values) -> np.ndarray:
@@ -114,7 +114,8 @@ def described(
     reference : ndarray, shape (trial, time, output)
         The reference of all trials, from which the limits of `stop` follow.
     law : Law, optional
-        The law, bound to the loop. If the law does not state a limit, the limit of the rig counts.
+        The law, bound to the loop. If the law states no limit for a command, the limit of the rig
+        counts.
     goes_on : bool
         Whether a trial starts where the last one ended.
     """

@@ -56,19 +56,23 @@ def record(
         As for :func:`ilctools.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         Values for those of ``loop.disturbances`` that the rig can command. If the rig measures a
-        disturbance, the measured values are recorded. All others must be zero. Default zero.
+        disturbance, the measured values are recorded. The values of all other disturbances must be
+        zero. Default: zero.
     path : path-like, optional
         A log file, to which each trial is added when it ends. A fault then costs at most one trial,
-        or two without reset. If the file exists, the experiment goes on with its next trial, see
-        Notes. Without `path`, a fault costs all trials.
+        or two trials if `reset` is False. If the file exists, the experiment goes on with its next
+        trial, see Notes. Without `path`, a fault costs all trials.
     v : array_like, shape (time, m), optional
-        ILC signal of the first trial. Default zero. If L is None, ILC signal of all trials.
+        ILC signal of the first trial. Default: zero. If the L of the law is None, this is the
+        signal of all trials.
     pause : int, optional
-        Number of samples between two trials. Default: until the outputs are back and still, but at
-        most the length of two trials. A rig that has `begin` makes no pause.
+        Number of samples between two trials. By default, the pause ends when the outputs stand
+        still where the first trial started, but lasts at most two lengths of a trial. A rig that
+        has `begin` makes no pause.
     reset : bool
-        False for a rig that never rests, as for :func:`ilctools.run_trials`. Then there is no
-        pause, and v is computed while a trial runs.
+        Whether each trial starts where the first trial started. If False, a trial starts where the
+        last one ended, as for :func:`ilctools.run_trials`. There is then no pause, and v is
+        computed while a trial runs.
     decimals : dict, optional
         Number of digits after the point of v, u, delta and measured disturbances. v and u are
         rounded before they act. With too few digits, v may be rounded to zero. Default: all digits.
@@ -83,8 +87,8 @@ def record(
     -------
     xarray.Dataset
         As from :func:`ilctools.run_trials`, with the disturbances that are commanded or measured.
-        With limits, `u` is the command that was asked for, and `applied` was sent to the rig. For a
-        ClosedLoop there is neither `u` nor `applied`.
+        With limits, `u` is the command that the controller asked for, and `applied` is the command
+        that was sent to the rig. For a ClosedLoop there is neither `u` nor `applied`.
 
     Raises
     ------
@@ -102,9 +106,10 @@ def record(
     -----
     UserWarning
         After a trial in which samples were late (if the rig has a clock), in which commands
-        exceeded the rig's limits, or which began elsewhere than the first trial. A further warning
-        is given once, if the trials do not converge, if an output does not move, or if the plant is
-        not the P of the loop or of the law, see :mod:`ilctools.trials.diagnosis`.
+        exceeded the rig's limits, or whose outputs began elsewhere than in the first trial. A
+        further warning is given once, if the trials do not converge, if an output does not change,
+        or if the plant is not the P of the loop or of the law, see
+        :mod:`ilctools.trials.diagnosis`.
 
     See Also
     --------
@@ -127,15 +132,16 @@ def record(
     cut. The rig then stays at the last command. After Ctrl-Z, the rig stays there until ``fg``. For
     these cases, let a watchdog on the rig switch off if no command has come for some samples.
 
-    *Logs.* The trials of an existing log must be of the same experiment. A last trial that is torn,
-    or shorter than the first one, is dropped with a warning. No check can find out whether the
-    plant and a commanded disturbance are still the same. Only the trials that follow show this. If
-    the log already has `trials` trials or more, no trial is run, and all of them are returned. The
-    folder may then be read-only. While an experiment runs, no other process can record to its log,
-    and no other program must write to it. A link is followed. A relative path counts from the
-    working directory at the call. Without reset, an experiment that is continued in its log begins
-    a new run, with the v that was learned. The log does not say where the new run begins, and
-    `replay` and `measured_response` treat the log as one run. In this case, use another path.
+    *Logs.* The trials of an existing log must be of the same experiment. A last trial that is
+    incomplete, or shorter than the first trial, is dropped with a warning. No check can find out
+    whether the plant and a commanded disturbance are still the same. Such a change shows only in
+    the trials that follow. If the log already has `trials` trials or more, no trial is run, and all
+    trials of the log are returned. The folder may then be read-only. While an experiment runs, no
+    other process can record to its log, and no other program must write to it. A link is followed.
+    A relative path counts from the working directory at the call. Without reset, an experiment that
+    is continued in its log begins a new run, with the v that was learned. The log does not say
+    where the new run begins, and `replay` and `measured_response` treat the log as one run. In this
+    case, use another path.
 
     Examples
     --------
@@ -249,7 +255,7 @@ def shake(
     arguments.instance("loop", loop, Loop)
     shaken = arguments.instance("excitation", excitation, Excitation).signals
     reference = np.zeros((*shaken.shape[:2], len(loop.outputs)))
-    # If inputs are no references, they do not say how far outputs may move.
+    # If inputs are no references, they do not show how far outputs may change.
     about = described(rig, loop, shaken if loop.one_for_one else reference, None, stop, decimals)
     check_match(loop=loop, rig=about, excitation=excitation)
     flows = about.flows_of(None)

@@ -63,7 +63,7 @@ class Interrupts:
             self.until = math.inf
 
     def leave(self) -> None:
-        """Leave the rig safe, unless this is a forked child, whose parent has the rig."""
+        """Leave the rig safe, unless this process is a forked child, whose parent has the rig."""
         self.until = time.monotonic() + self.safe_time
         try:
             if os.getpid() == self.process:

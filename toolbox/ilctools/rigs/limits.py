@@ -15,9 +15,9 @@ FAR_OUTPUT = 5.0
 def stop_limits(stop, reference, loop: Loop, followed) -> dict:
     """Compute limits of outputs and commands beyond which an experiment stops, by name.
 
-    The limits of outputs follow from the reference (..., time, output), for all outputs of a unit
-    together. The limits of commands follow from the limits `followed` of the actuators. `stop`
-    overrides both; None stands for no limit.
+    The limits of outputs follow from the reference (..., time, output), for all outputs with the
+    same unit together. The limits of commands follow from the limits `followed` of the actuators.
+    Limits in `stop` replace the computed limits. None stands for no limit.
     """
     limits = {}
     values = reference.reshape(-1, len(loop.outputs))

@@ -8,8 +8,8 @@ from typing import Protocol, runtime_checkable
 class Rig(Protocol):
     """The driver of a rig for :func:`record`: two methods, each called once per sample.
 
-    With a :class:`ClosedLoop`, the controller is on the rig. The inputs are then w = r + v, and
-    ``measured`` has the commands u, if the loop names any.
+    With a :class:`ClosedLoop`, the controller is on the rig. The inputs are then w = r + v, the
+    reference plus the ILC signal, and ``measured`` has the commands u, if the loop names any.
 
     A rig may have further attributes and methods:
 

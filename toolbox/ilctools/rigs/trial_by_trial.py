@@ -136,7 +136,7 @@ class Experiment:
             file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
-        """Run the trial after the trials `past`: in parts if the rig goes on, else as a whole."""
+        """Run the trial after the trials `past`; without reset, the trial is run in parts."""
         number, reference = len(past) + 1, self.reference[len(past)]
 
         def respond(w, now):

@@ -32,8 +32,8 @@ def without_others(path: Path) -> AbstractContextManager:
 class TrialLog:
     """The log of one experiment as a file; changes by other programs are not overwritten.
 
-    A thread writes the file, so that a rig that never rests need not wait. Without a path, nothing
-    is written.
+    A thread writes the file, so that a rig whose trials follow without a pause need not wait. If no
+    path is passed, nothing is written.
     """
 
     def __init__(self, path: Path | None):
@@ -54,7 +54,7 @@ class TrialLog:
             self.last = self.thread.submit(self.write, log, trial)
 
     def finish(self) -> None:
-        """Wait until everything is written; raise the error if something was not."""
+        """Wait until everything is written; raise the error of a write that failed."""
         if self.last:
             self.last.result()
 

@@ -1,17 +1,17 @@
-"""The default cut-off of Q, from the bandwidth of P and from the differences between its plants.
+"""The default cut-off of Q, from the bandwidth of P and from the differences between the plants.
 
-Let sigma(omega) be the least smallest singular value of all plants. Let sigma_0 be the value of
-sigma at zero frequency, or the largest value of sigma if P has no gain at zero frequency. The
-cut-off is at most the lowest frequency omega_1 where
+Let sigma(omega) be the least singular value of P at omega, among all plants. Let sigma_0 be the
+value of sigma at zero frequency, or the largest value of sigma if P has no gain at zero frequency.
+The cut-off is at most the lowest frequency omega_1 where
 
     sigma(omega) < WEAK sigma_0.
 
 Above omega_1, L would amplify noise and the errors of the model.
 
 The cut-off must also be so low that one filter works for all plants. In this test, the filter is
-the quadratic law B of all plants, see :mod:`ilctools.base`. The bound on the gain of B is here
-STATIC / sigma_0. At each frequency, |Q| d <= M_max is required. Here d is the share of the error
-that one trial would leave without Q,
+the regularised inverse B of all plants, see :mod:`ilctools.base`. The bound on the gain of B is
+here STATIC / sigma_0. At each frequency, |Q| d <= M_max is required. Here d is the share of the
+error that one trial would leave without Q,
 
     d = max_k sigma_max(I - P_k B) + r sigma_max(B),
 
@@ -20,11 +20,12 @@ x = tan(omega Ts / 2) / tan(cutoff Ts / 2). The condition is therefore
 x >= (d / M_max - 1)^(1/4). The condition gives a highest cut-off for each frequency. The lowest of
 these cut-offs is chosen, so that no search is needed.
 
-Only the frequencies of the response are considered. If the response was estimated from records, a
-period of each default frequency fits into a record, see :attr:`.EstimatedResponse.resolved`. A
-single frequency may decide the cut-off. The neighbouring frequencies at which P is also weak, or
-also too uncertain, form a range with this frequency. If P is strong and known above this range, the
-range is reported, with the cut-off that would follow without the range.
+Only the frequencies of the response are considered. If the response was estimated from records,
+only frequencies whose period fits into a record are considered by default, see
+:attr:`.EstimatedResponse.resolved`. A single frequency may decide the cut-off. The neighbouring
+frequencies at which P is also weak, or also too uncertain, form a range with this frequency. If P
+is strong and known above this range, the range is reported, with the cut-off that would follow
+without the range.
 """
 
 from typing import NamedTuple
@@ -39,7 +40,7 @@ from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
 ORDER = 2  # of the Butterworth filter, as in the paper
-# Relative to sigma_0. Among 0.03, 0.05 and 0.1, this value learns the least noise, see
+# Relative to sigma_0. Among 0.03, 0.05 and 0.1, a law with this value learns the least noise, see
 # figures/performance.md.
 WEAK = 0.1
 SHARE_OF_M_MAX = 0.9  # share of M_max that the differences between the plants may use up
@@ -67,7 +68,7 @@ class Cutoff(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The highest cut-off for each frequency, (n,), rad/s; infinite if there is no limit."""
+    """The highest cut-off that each frequency allows, (n,), rad/s; infinite without a limit."""
 
     omega: np.ndarray  # (n,), rad/s
     Ts: float  # s

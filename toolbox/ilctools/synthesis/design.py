@@ -70,9 +70,9 @@ def synthesise(
     Ts : float, optional
         Sampling period, s. If P is an array and Q is not a filter, `Ts` is needed.
     order : int, optional
-        Number of coefficients of the filter that is optimised, at most 300. If L = B K, these are
-        the coefficients of K. Otherwise they are those of L, which looks ahead by this number of
-        samples, see equation (44) of the paper. Default: from P and Q.
+        Number of coefficients of the filter that is optimised, at most 300. If L = B K, see `base`,
+        these are the coefficients of K. Otherwise these are the coefficients of L, which looks
+        ahead by this number of samples, see equation (44) of the paper. Default: from P and Q.
     M_max : float
         Bound on sigma_max(M), in (0, 1).
     L_max : float, None or "auto"
@@ -82,8 +82,8 @@ def synthesise(
         A frequency in rad/s, and an additional bound on sigma_max(L) at and above this frequency.
         Trials then learn less noise there, although the cut-off of Q stays the same.
     band : (float, float), optional
-        Lowest and highest frequency of the sum in (39), rad/s. Default: from the lowest frequency
-        above zero to the cut-off of Q.
+        Lowest and highest frequency of the sum in equation (39), rad/s. Default: from the lowest
+        frequency above zero to the cut-off of Q.
     reference : array_like, shape (time, m), optional
         The reference of the trials. The spectrum of the error in its first trial then weights the
         sum in (39), in place of the band. The certificate predicts the RMS errors of later trials.
@@ -106,8 +106,8 @@ def synthesise(
         How the regularised inverse B in L = B K is chosen, see Notes. With None, L is the finite
         filter of the paper. None is the default if `order` is given and P is square.
     reach : int, optional
-        Number of samples. If `reach` is passed, B is a finite filter that looks at most so far
-        ahead and back. C code, a PLC and trials without reset need a finite filter.
+        Number of samples by which B looks ahead and back at most. If `reach` is passed, B is a
+        finite filter. C code, a PLC and trials without reset need a finite filter.
 
     Returns
     -------
@@ -132,16 +132,14 @@ def synthesise(
     convergence : computes how fast trials converge with any filter
     trial_norm : computes how one finite trial, with its two ends, amplifies v
 
-    Notes
-    -----
-    **P.** A table holds the complex values gain * exp(1j * phase). The gain is not in dB, and the
-    phase is in rad. If a table was made for exp(-j omega t), so that its phase leads, pass its
-    complex conjugate. The samples must be those of the sampled plant with its hold. In
+    Notes ----- **P.** A table holds the complex values gain * exp(1j * phase). The gain is not in
+    dB, and the phase is in rad. If a table was made for exp(-j omega t), so that its phase leads,
+    pass its complex conjugate. The table must describe the sampled plant, including its hold. In
     python-control, the frequency response of a continuous model does not contain the hold, which
-    adds a delay of half a sample: sample the model first. A transfer function with more than about
-    four poles loses digits: pass ``control.sample_system(control.ss(plant), Ts)``. The axes of a
-    labelled array are matched by name, see :mod:`ilctools.labels`. A measured response has its own
-    radius, for a probability of 0.99. For another probability, pass both arrays that
+    adds a delay of half a sample: sample a continuous model first. A transfer function with more
+    than about four poles loses digits: pass ``control.sample_system(control.ss(plant), Ts)``. The
+    axes of a labelled array are matched by name, see :mod:`ilctools.labels`. A measured response
+    has its own radius, for a probability of 0.99. For another probability, pass both arrays that
     ``P.on(omega, confidence)`` returns. Without a radius, samples count as exact, although they may
     contain noise.
 
@@ -162,33 +160,35 @@ def synthesise(
 
     **Order and gain.** By default, the `order` of a finite L is the delay of P plus 4 / (cutoff
     Ts). The delay is computed from the phase lag in excess of the least lag that the gain of P
-    allows. `order` is at least 10. `order` is at most 60, or 20 more than the delay if this is
-    larger. `L_max` is eight times the largest gain that inverts P up to the cut-off of Q. `L_max`
-    is also at most 20 times the largest gain that inverts P up to a thirtieth of the cut-off. The
-    second limit is raised if, at some frequency, more than two thirds of M_max of the error would
-    remain. If `base` is a number or None, `L_max` is four times the largest gain that inverts P up
-    to the cut-off. `L_max` also holds between the frequencies of a coarse grid. Without `L_max`,
-    filters may have any gain that doubles can represent, see :attr:`.Problem.L_bound`. If such a
-    filter looks beyond the ends of a trial, trials often diverge: check this with
-    :func:`trial_norm`.
+    allows. `order` is at least 10. `order` is at most 60, or at most the delay plus 20 if this sum
+    is larger. `L_max` is eight times the largest gain that inverts P up to the cut-off of Q.
+    `L_max` is also at most 20 times the largest gain that inverts P up to a thirtieth of the
+    cut-off. If a share of the error above two thirds of M_max would remain at some frequency, the
+    second limit is raised. If `base` is a number or None, `L_max` is four times the largest gain
+    that inverts P up to the cut-off. `L_max` also holds between the frequencies of a coarse grid.
+    Without `L_max`, filters may have any gain that doubles can represent, see
+    :attr:`.Problem.L_bound`. If such a filter looks beyond the ends of a trial, trials often
+    diverge: check this with :func:`trial_norm`.
 
     **All frequencies.** If P and Q are models without a radius, bounds and rate are proved between
     the frequencies. Otherwise cubic splines interpolate the samples, and straight lines interpolate
-    the radius. Their axis is omega or log omega, whichever predicts every other sample better. If P
-    has a radius, `omega` must resolve narrow resonances. Above the last sample, P is taken to be
-    zero, with a radius as large as P at this sample. With `everywhere` the bounds are kept on a
-    finer grid. The limits on this grid are lower by 1e-5 (proved) or 3e-4. The design then takes
-    three times as long in the median, and a hundred times at worst.
+    the radius. The axis of both interpolations is omega or log omega, whichever predicts every
+    other sample better. If P has a radius, `omega` must resolve narrow resonances. Above the last
+    sample, P is taken to be zero, with a radius as large as P at this sample. With `everywhere` the
+    bounds are kept on a finer grid. The limits on this grid are lower by a fraction of 1e-5 if the
+    bounds are proved, and of 3e-4 otherwise. The design then takes three times as long in the
+    median, and a hundred times at worst.
 
     **Base.** B = (P* P + b^2)^-1 P* is the regularised inverse of P. B also inverts poles and zeros
     of P near the unit circle, for which a finite filter is too short. By default B is made for all
     plants, with b = 1 / (2 L_max), so that sigma_max(B) is at most L_max. If L = B meets all
-    bounds, the design is L = B. Otherwise, convex optimisation finds a K for L = B K. K is also
-    optimised if a `reference` or the objective "peak" is passed. K has 21 or `order` samples, as
-    many back as ahead, and sigma_max(K) is at most four. If `base` is a number in (0, 1), b is this
-    share of the largest sigma_max(P) up to the cut-off of Q, and B is made for the first plant. If
-    P is a model, B is also exact at the ends of a trial. If P is a table, B is a finite filter. It
-    has so many samples that more samples would change sigma_max(M) by less than 1e-4.
+    bounds, the design is L = B. Otherwise, the design is L = B K, and convex optimisation finds the
+    filter K. K is also optimised if a `reference` or the objective "peak" is passed. K has 21 or
+    `order` coefficients and looks back as far as ahead, and sigma_max(K) is at most four. If `base`
+    is a number in (0, 1), b is this share of the largest sigma_max(P) up to the cut-off of Q, and B
+    is made for the first plant. If P is a model, B is also exact at the ends of a trial. If P is a
+    table, B is a finite filter. This filter has so many samples that more samples would change
+    sigma_max(M) by less than 1e-4.
 
     **Reference.** The spectrum of the first error, (I - P) r, weights the sum in (39). Each channel
     is divided by its `scale`. The first samples of the reference, which P cannot influence because
@@ -249,7 +249,7 @@ def synthesise(
 
 
 def without_Q(problem_of, response, M_max) -> Synthesis:
-    """Design with a chosen cut-off of Q, or with half of it if v might grow at a trial's ends."""
+    """Design with a chosen cut-off of Q; halve the cut-off if v might grow at a trial's ends."""
     refuse_singular(response)
     limit, Ts = choose_cutoff(response, checked_M_max(M_max)), response.Ts
     lowest = max(LOWEST_CUTOFF * np.pi / Ts, response.omega[response.omega > 0][0])
@@ -298,7 +298,7 @@ def _cost_of_ends(first, half) -> Finding:
 
 
 def _rest_that_mends(design) -> tuple[int, float] | None:
-    """Find a `rest`, in samples, for which the norm of a trial is below one; return both."""
+    """Find a `rest`, in samples, with which the norm of a trial is below one; return both."""
     problem, certificate = design.problem, design.certificate
     L, samples = certificate.scaled_filter, certificate.settled_trial.samples
     for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
@@ -312,7 +312,7 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 
 
 def designed(problem: Problem) -> Synthesis:
-    """Design L = B if this is wanted and meets all bounds; else solve the convex problem."""
+    """Design L = B if L = B is allowed and meets all bounds; else solve the convex problem."""
     if problem.base is None and not problem.square:
         raise needs_square("base = None", problem.p, problem.m)
     design = by_formula(problem) if problem.formula_will_do else None
@@ -339,7 +339,7 @@ def refuse_failures(certificate: Certificate):
 
 
 def _remedy(problem):
-    """Return a remedy, in words, for a problem with bounds at every frequency; else empty."""
+    """Return a remedy for a problem with bounds at every frequency, else an empty text."""
     if not problem.bounds.everywhere:
         return ""
     return (

@@ -1,11 +1,11 @@
 """Translate a design problem into a program for the solver: bounds, and a basis for the filter.
 
-P_i (m x m) and Q_i (scalar) are given at the frequencies omega_i. The unknowns are the real
-coefficients C_k of L(z) = sum_k C_k z^k. The objective is a weighted sum of all sigma_max(M_i), or
-the largest sigma_max(M_i), where M_i = Q_i (I - P_i L_i). The constraints are
-sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all frequencies, where W is I / L_max. Each
-constraint is a `solver.bounds.Bound`. The constraints for further plants and for a radius, called
-cuts, are bounds as well.
+Equation numbers are those of the paper. P_i (m x m) and Q_i (scalar) are given at the frequencies
+omega_i. The unknowns are the real coefficients C_k of L(z) = sum_k C_k z^k. The objective is a
+weighted sum of all sigma_max(M_i), or the largest sigma_max(M_i), where M_i = Q_i (I - P_i L_i).
+The constraints are sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all frequencies, where W is
+I / L_max. Each constraint is a `solver.bounds.Bound`. The constraints for further plants and for a
+radius, called cuts, are bounds as well.
 
 The powers z, z^2, ... are nearly dependent. They are replaced by a basis that is orthonormal over
 the frequencies, with the weight that each frequency has in M and L.
@@ -61,7 +61,7 @@ def bound_on_L(W, frequency, level) -> Bound:
 
 
 def _long(X):
-    """Convert a matrix for each frequency into one matrix of vectors over the frequencies."""
+    """Return matrices X (n, p, m), one for each frequency, with the frequency as the last axis."""
     return np.ascontiguousarray(np.moveaxis(X, 0, -1), dtype=complex)
 
 

@@ -94,10 +94,10 @@ class Synthesis:
         rest, gain :
             As for :class:`ilctools.Law`.
         limits : dict, optional
-            Lowest and highest value of commands and of outputs, by name. Each value is a number,
-            an array with one number for each sample, or None for no limit. For limits of commands,
-            see :class:`ilctools.Law`. Limits of outputs are kept in every trial by each plant
-            within the radius of the design. To see the conditions, print the law's
+            Lowest and highest value of commands and of outputs, by name. Each value is a number, an
+            array with one number for each sample, or None for no limit. For limits of commands, see
+            :class:`ilctools.Law`. Limits of outputs are kept in every trial by each plant within
+            the radius of the design. To see the conditions of this guarantee, print the law's
             ``output_limits``. If the design has no radius, limits of outputs hold only if the model
             is exact.
         noise : dict, optional

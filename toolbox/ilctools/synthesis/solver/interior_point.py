@@ -328,7 +328,7 @@ def follow(p, enough=0.0) -> Path:
 
 
 def outcome_at(p, enough, stagnant) -> Outcome | None:
-    """Return why the path ends at p, `stagnant` steps after the best point; None if it goes on."""
+    """Return why the path ends at p, `stagnant` steps after the best point; else None."""
     program = p.program
     if not p.within_limits:
         largest = program.cost.sum() * program.limits[0]

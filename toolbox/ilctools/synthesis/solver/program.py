@@ -73,7 +73,7 @@ class Program:
         return self.largest([np.abs(bound.F[0, 0]) for bound in self.bounds])
 
     def minimax(self):
-        """Make the program that minimises the largest value with a t or with the first limit."""
+        """Make a program that minimises the largest value with a t or with the first limit."""
         t, (first, *_) = self.without_learning()
         bounds = []
         for bound in self.bounds:  # the one t has number 0, the limits follow
@@ -105,7 +105,7 @@ class Program:
 
     @cached_property
     def incidence(self):
-        """Matrices (c, n) with a one at the frequency of each column: g @ incidence adds up g."""
+        """Matrices (c, n) with a one at the frequency of each column; they sum g by frequency."""
         n = self.basis.shape[1]
         columns = [(bound.at, np.arange(len(bound.at) + 1)) for bound in self.bounds]
         return [csr_array((np.ones(len(at)), at, rows), (len(at), n)) for at, rows in columns]
