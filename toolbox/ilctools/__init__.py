@@ -1,7 +1,7 @@
 """Iterative learning control: learning filters with certificates, for any plant.
 
-Each public name is imported when it is first used. Code that needs only a part of the package
-therefore does not wait for the other parts.
+Each public name is imported when it is first used. A program that uses only a part of the package
+therefore does not wait for the import of the other parts.
 """
 
 from collections.abc import Sequence
@@ -37,11 +37,11 @@ MODULES = {
 
 
 def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
-    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package that imports names late.
+    """Make ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy imports.
 
     A name is imported when it is first used. `modules` maps each module to the public names that
-    the module defines. `rooms` lists modules that are public themselves, such as ``errors``. Names
-    in such a module are looked up there.
+    the module defines. `rooms` lists modules that are public themselves, such as ``errors``. The
+    names in such a module stay there, as in ``errors.LogError``.
     """
     home = {
         name: f"{package}.{module}" for module, names in modules.items() for name in names.split()

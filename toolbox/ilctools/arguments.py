@@ -1,7 +1,8 @@
-"""Checks of arguments at entry points: one clear error, before any work.
+"""Checks of arguments at entry points, which raise one clear error before any work begins.
 
-Each function returns the argument in the type that later code expects. Otherwise the function
-raises a ValueError that names the argument, its value and what the argument must be.
+A function returns a valid argument in the type that later code expects. If the argument is not
+valid, the function raises a ValueError that names the argument, its value, and what the argument
+must be.
 """
 
 import os
@@ -32,9 +33,9 @@ ROLES = {  # coordinates that name signals, and the name of all these signals in
 def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
-    """Check a finite number with ``low < value < high`` and ``least <= value <= most``.
+    """Check that a number is finite, ``low < value < high`` and ``least <= value <= most``.
 
-    The error message states this range by the words in `what`.
+    The words in `what` describe this range in the error message.
     """
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
@@ -43,22 +44,22 @@ def number(
 
 
 def not_negative(name: str, value, what: str = "a number, 0 or more") -> float:
-    """Check a finite number, zero or above."""
+    """Check that a value is a finite number, zero or above."""
     return number(name, value, what, least=0)
 
 
 def positive(name: str, value, what: str = "a positive number") -> float:
-    """Check a finite number above zero."""
+    """Check that a value is a finite number above zero."""
     return number(name, value, what, low=0)
 
 
 def sampling_period(name: str, value) -> float:
-    """Check a sampling period in seconds."""
+    """Check that a value is a sampling period in seconds, a positive number."""
     return positive(name, value, "a positive sampling period in seconds")
 
 
 def whole(name: str, value, low: int, high: int | None = None) -> int:
-    """Check a whole number, at least `low` and at most `high`."""
+    """Check that a value is a whole number from `low` to `high`; None is no upper limit."""
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
@@ -67,7 +68,7 @@ def whole(name: str, value, low: int, high: int | None = None) -> int:
 
 
 def flag(name: str, value) -> bool:
-    """Check True or False; values that merely count as True or False are refused."""
+    """Check that a value is True or False; refuse other values that count as such, like 1."""
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be True or False")
     return bool(value)
@@ -82,7 +83,7 @@ def choice(name: str, value, options: Sequence[str]) -> str:
 
 
 def instance(name: str, value, kind):
-    """Check an object of the given class, or of one class of a union."""
+    """Check that a value is an instance of a class, or of one class of a union."""
     if not isinstance(value, kind):
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
         of_design = f": pass {name}.law() or {name}.filter" if hasattr(value, "certificate") else ""
@@ -91,7 +92,7 @@ def instance(name: str, value, kind):
 
 
 def different(name: str, value) -> list[str]:
-    """Check a list of names, in which no name occurs twice."""
+    """Check that a value is a list of names in which no name occurs twice."""
     listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
     if not (listed and all(isinstance(n, str) for n in value)) or len({*value}) < len(value):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a list of different names")
@@ -99,7 +100,7 @@ def different(name: str, value) -> list[str]:
 
 
 def by_name(name: str, value, names: Sequence[str]) -> dict:
-    """Check a dict whose keys are names of signals in `names`; None becomes an empty dict."""
+    """Check that the keys of a dict are signals in `names`; turn None into an empty dict."""
     if not isinstance(value, dict | None):
         raise ValueError(
             f"{name} = {reprlib.repr(value)} must be a dict whose keys are names of signals"
@@ -127,8 +128,8 @@ def names_of(signals) -> list[str] | None:
 def in_columns(name, signal, shape, names):
     """Return a signal as an array with one column for each of `names`, in their order.
 
-    A signal that has names of its own is sorted by these names. A signal of a single channel may
-    lack the axis of channels.
+    If the signal itself names its channels, its columns are put in the order of `names`. A signal
+    with a single channel may have the shape (time,).
     """
     own, signal = names_of(signal), array(name, signal, (...,))
     if own is not None:
@@ -139,13 +140,13 @@ def in_columns(name, signal, shape, names):
 
 
 def by_channel(name, value, names):
-    """Sort labelled numbers, one per channel, as in `names`; return other values unchanged."""
+    """Put labelled numbers, one per channel, in the order of `names`; leave others as they are."""
     own = names_of(value.to_xarray() if hasattr(value, "to_frame") else value)  # of pandas
     return value if own is None else np.asarray(value)[..., _order(name, own, names)]
 
 
 def _order(name, own, names):
-    """Return the position of each of `names` among the names `own` of an array."""
+    """Return the index of each of `names` in `own`, the names of an array's channels."""
     if sorted(own) != sorted(names):
         raise ValueError(
             f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
@@ -155,7 +156,7 @@ def _order(name, own, names):
 
 
 def labelled_as(value, signal, names):
-    """Give an array with one column per name the shape, labels and order of `value`."""
+    """Return an array, one column per name, in the shape and order and with labels of `value`."""
     own = names_of(value)
     if own is None:
         return signal.reshape(np.shape(value))
@@ -188,7 +189,7 @@ def each_trial(name, signal, trials, samples, names, Ts):
 
 
 def path(name: str, value) -> Path:
-    """Check the path of a file; ~ is the home folder of the user."""
+    """Check the path of a file; replace ~ by the home folder of the user."""
     if not isinstance(value, str | PathLike) or not re.fullmatch(PRINTABLE, str(value)):
         raise ValueError(
             f"{name} = {reprlib.repr(value)} must be the path of a file, of printable characters"
@@ -197,7 +198,7 @@ def path(name: str, value) -> Path:
 
 
 def state_space(name: str, value) -> control.StateSpace:
-    """Check a state-space model, whose matrices must be finite."""
+    """Check that a value is a state-space model whose matrices are finite."""
     instance(name, value, control.StateSpace)
     for matrix in "ABCD":
         array(f"{name}.{matrix}", getattr(value, matrix), (...,))
@@ -218,9 +219,9 @@ def stable(name: str, poles) -> float:
 def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
     """Make an array of finite numbers with a shape like ``("time", 2)`` or ``(..., "m", "m")``.
 
-    A name stands for any size above zero. A name that occurs twice stands for the same size. An
-    Ellipsis in front stands for any number of axes. `dtype` is float or complex. True among numbers
-    counts as 1.
+    In the shape, a name stands for any size above zero. If a name occurs twice, both sizes must be
+    equal. An Ellipsis at the front stands for any number of axes. `dtype` is float or complex. If
+    True occurs among numbers, it counts as 1.
     """
     try:
         plain = np.asanyarray(value)
@@ -264,7 +265,7 @@ def _check_shape(name, sizes, shape):
 
 
 def representable(name: str, values, remedy: str) -> None:
-    """Refuse numbers whose squares and products leave the range of doubles."""
+    """Refuse numbers whose squares or products leave the range of floating-point numbers."""
     size = np.abs(values).max(initial=0)
     if not (size == 0 or TINIEST <= size <= 1 / TINIEST):
         raise ValueError(
@@ -274,12 +275,12 @@ def representable(name: str, values, remedy: str) -> None:
 
 
 def row(name: str, value, dtype: type = float) -> np.ndarray:
-    """Check one or more numbers in a row; a single number is a row of one."""
+    """Check one or more numbers, and return them as an array (n,); a single number gives n = 1."""
     return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)
 
 
 def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
-    """Check two or more increasing frequencies, rad/s, from zero to the Nyquist frequency."""
+    """Check two or more frequencies, rad/s: they must increase, from zero to Nyquist's at most."""
     omega = up_to_nyquist(name, array(name, value, ("frequency",)), Ts)
     if len(omega) < 2 or np.any(np.diff(omega) <= 0):
         raise ValueError(
@@ -290,7 +291,7 @@ def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
 
 
 def up_to_nyquist(name: str, omega: np.ndarray, Ts: float) -> np.ndarray:
-    """Check angular frequencies, rad/s, from zero to the Nyquist frequency."""
+    """Check that angular frequencies, rad/s, lie between zero and the Nyquist frequency."""
     nyquist = np.pi / Ts
     if omega.min() < 0 or omega.max() > nyquist * (1 + LATE):
         raise ValueError(

@@ -1,37 +1,40 @@
-"""The base B of a learning filter L = B K, where K is short: a regularised inverse of P.
+"""The base B of a learning filter L = B K: a regularised inverse of the plant P.
 
     B = (P* P + b^2)^-1 P*                                                                     (B)
 
-B is the operator of norm-optimal learning, see :class:`.norm_optimal.NormOptimal`. B cancels poles
-and zeros of P near the unit circle. A finite filter would have to be as long as these poles and
-zeros ring. In each direction in which P has the singular value sigma,
+Here P* is the conjugate transpose of the response P, b is a positive number, and K is a finite
+filter with few coefficients. B is the operator of norm-optimal learning, see
+:class:`.norm_optimal.NormOptimal`. B cancels poles and zeros of P near the unit circle. A finite
+filter that cancels them would have to be as long as their responses last. In each direction in
+which P has the singular value sigma,
 
     sigma(B) = sigma / (sigma^2 + b^2) <= 1 / (2 b),    1 - P B = b^2 / (sigma^2 + b^2) < 1.
 
 If b = 1 / (2 L_max), then L = B meets the bound sigma_max(L) <= L_max for every plant, and
-sigma_max(Q (I - P B)) is below one. Where the gain of P is above b, P B is nearly the identity. A
-short K is then designed for P B in place of P. The iteration matrix M = Q (I - P B K) is affine in
-K, as it is affine in L.
+sigma_max(Q (I - P B)) is below one, where Q is the low-pass filter of the law. Where the gain of P
+is above b, P B is nearly the identity. The filter K is then designed for P B in place of P. The
+iteration matrix M = Q (I - P B K) depends on K in the same affine way as Q (I - P L) depends on L.
 
-For p plants P_k, B is the law that minimises the mean of ||e - P_k change||^2, to which
-b^2 ||change||^2 is added:
+For p plants P_k, B e is the change of v that minimises ||e - P_k change||^2, averaged over the
+plants, plus b^2 ||change||^2:
 
     B = (mean P_k* P_k + b^2)^-1 mean P_k* = (P* P + b^2)^-1 P* E,
 
-Here P stands for the P_k one below the other, divided by sqrt(p). E stands for p identities one
-below the other, also divided by sqrt(p). The bound on B holds for several plants as well, because
-the gain of E is one. P and E may be multiplied from the left by any matrix with orthonormal rows
-whose row space holds the columns of [C, D] of P. Therefore P needs no more outputs than it has
-states and inputs. States that the plants have in common are kept once, see :mod:`.pooled`.
+Here P is the stack of all P_k, divided by sqrt(p). E is a stack of p identity matrices, also
+divided by sqrt(p). The bound on B holds for several plants as well, because the gain of E is one. P
+and E may be multiplied from the left by a matrix with orthonormal rows, if the row space of this
+matrix contains the columns of [C, D], the output matrices of P. Then P* P and P* E do not change.
+Therefore P needs no more outputs than it has states and inputs together. States that the plants
+have in common are kept once, see :mod:`.pooled`.
 
-In the following equation, K is the gain of the linear-quadratic state feedback, R is a constant
-matrix, and A and B in F are the matrices of the state equation of P:
+The poles of B follow from the next equation. There, K is the gain of a linear-quadratic state
+feedback, and R is a constant matrix. The A and B inside F are those of the state equation of P:
 
     P* P + b^2 = F* F,    F = R^(1/2) (I + K (z I - A)^-1 B),    B = F^-1 (P F^-1)* E,
 
-where F^-1 and P F^-1 are the responses of u and of y to the reference of this closed loop. The
-poles of the base are therefore the poles of this closed loop, which are inside the unit circle, and
-their mirror images at the circle. The base has no other poles.
+F^-1 and P F^-1 are the responses of the input u and of the output y to the reference of the loop
+that this feedback closes. The poles of the base are therefore the poles of this closed loop, which
+are inside the unit circle, and their mirror images at the circle. The base has no other poles.
 """
 
 from dataclasses import dataclass, replace
@@ -49,8 +52,8 @@ from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
 
-NEGLIGIBLE_IN_M = 1e-4  # B is truncated if sigma_max(M) changes by less
-POINTS = 2**15  # of the transform that gives the coefficients of B
+NEGLIGIBLE_IN_M = 1e-4  # B is truncated if sigma_max(M) changes by less than this value
+POINTS = 2**15  # of the Fourier transform that gives the coefficients of B
 FARTHEST_REACH = POINTS // 4  # largest number of samples that B looks ahead or back
 EXACT_FACTORS = 1e-7  # a relative error of the factors up to this value is rounding
 
@@ -59,9 +62,9 @@ EXACT_FACTORS = 1e-7  # a relative error of the factors up to this value is roun
 class RegularisedInverse:
     """The base B = (P* P + b^2)^-1 P* E of one or several models.
 
-    On a trial of N samples, B is the matrix (P_N^T P_N + b^2 I)^-1 P_N^T E, where P_N maps inputs
-    of a trial to its outputs. P maps inputs divided by `scale` to outputs divided by `scale_y`. B
-    itself acts on signals in their own units. If E is None, P is a single model.
+    On a trial of N samples, B is the matrix (P_N^T P_N + b^2 I)^-1 P_N^T E, where the matrix P_N
+    maps the inputs of a trial to its outputs. P maps inputs divided by `scale` to outputs divided
+    by `scale_y`. B itself acts on signals in their own units. If E is None, P is a single model.
     """
 
     P: control.StateSpace
@@ -119,11 +122,11 @@ class RegularisedInverse:
         return poles
 
     def __matmul__(self, K: LearningFilter) -> Composition:
-        """Compose L = B K."""
+        """Return the composition L = B K."""
         return Composition(self, K)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute B far from the ends of a trial, at `omega` (rad/s), (n, m, p), complex."""
+        """Compute B at `omega` (rad/s), far from the ends of a trial, complex, shape (n, m, p)."""
         P = frequency_response(self.P, omega)
         return regularised_inverse(P, self.b) @ self.E * (self.scale[:, None] / self.scale_y)  # (B)
 
@@ -133,7 +136,7 @@ class RegularisedInverse:
         return self.scale / self.b * of_trial.apply(signal / self.scale_y @ self.E.T)
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
+        """Apply the transpose of the matrix that represents :meth:`apply` on a trial."""
         of_trial = _norm_optimal(self, np.shape(signal)[-2])
         return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale_y / self.b
 
@@ -166,7 +169,7 @@ def in_units(L, of_v, of_y):
 
 
 def extended(L, U, V):
-    """Compute V L U' for P, from an operator L for U' P V, see :mod:`.response.directions`."""
+    """Return V L U', which is for P, from an L for U' P V, see :mod:`.response.directions`."""
     if isinstance(L, Composition):
         last, first = L.factors
         one = np.eye(first.rows)
@@ -199,7 +202,7 @@ def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | No
 
 
 def _of_all(models, b, structure, change) -> Pooled:
-    """Make P and E from all models; if B is diagonal, each channel is treated by itself."""
+    """Make P and E of the base from all models; if B is diagonal, treat each channel by itself."""
     if structure != "diagonal":
         return pooled(models, b, change)
     channels = []
@@ -230,10 +233,10 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
 
 
 def _shortened(B, counts, farthest):
-    """Truncate B to its coefficients of q^-N ... q^N, (2 N + 1, m, p); N is a power of two.
+    """Truncate B to its coefficients of q^-N ... q^N, (2 N + 1, m, p), and return them and N.
 
-    N is the least power of two for which the lost part is below NEGLIGIBLE_IN_M. At each frequency,
-    the lost part is multiplied by `counts`.
+    N is the least power of two for which the response of the lost coefficients, multiplied by
+    `counts`, is below NEGLIGIBLE_IN_M at each frequency. N is at most `farthest`.
     """
     N, middle, coefficients = 1, POINTS // 2, coefficients_of(B)
     while True:
@@ -248,7 +251,7 @@ def _shortened(B, counts, farthest):
 
 
 def coefficients_of(response) -> np.ndarray:
-    """Compute the coefficients of q^k, k = -n / 2, ..., n / 2 - 1, (n, p, m), of a filter.
+    """Compute a filter's coefficients of q^k for k = -n / 2, ..., n / 2 - 1, shape (n, p, m).
 
     `response` is the filter's response at n / 2 + 1 frequencies, evenly spaced from zero to the
     Nyquist frequency.
@@ -257,7 +260,7 @@ def coefficients_of(response) -> np.ndarray:
 
 
 def _faded(response, number, cutoff, omega):
-    """Compute the response of a plant at omega; measured samples fade out above the cut-off."""
+    """Compute the response of a plant at omega; fade out measured samples above the cut-off."""
     if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
     last = response.omega[-1]

@@ -1,4 +1,4 @@
-"""The toolbox's own exceptions, to be caught by name; a wrong argument is a plain ValueError.
+"""The toolbox's own exceptions; a wrong argument raises a plain ValueError instead.
 
 InfeasibleError and LogError are ValueErrors. SolverError and RigError are RuntimeErrors.
 StoppedError is a RigError.
@@ -6,7 +6,7 @@ StoppedError is a RigError.
 
 from contextlib import contextmanager
 
-# errors that may occur while a note is read
+# errors that may occur while an entry of the metadata is read
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
 LONGEST_MESSAGE = 1000  # letters of a message
 
@@ -17,11 +17,11 @@ class InfeasibleError(ValueError):
     Attributes
     ----------
     smallest_M_max : float
-        The smallest feasible M_max with the other arguments. If this number is one or more, no
-        feasible filter converges.
+        The smallest feasible M_max if the other arguments stay the same. If this number is one or
+        more, no filter that meets the other bounds is proved to converge.
     plant, omega : int, float
-        The plant and the frequency at which the bound on M is the main obstacle. Plant number 0 is
-        the nominal plant.
+        The number of the plant, and the frequency (rad/s), at which the bound on M is the main
+        obstacle. Plant number 0 is the nominal plant.
 
     See Also
     --------
@@ -50,7 +50,7 @@ class SolverError(RuntimeError):
 
 
 class RigError(RuntimeError):
-    """A rig gave an invalid reading; no command that was computed from it was applied.
+    """A rig gave an invalid reading; no command computed from this reading was applied.
 
     The trials before the error are in `trials`.
     """
@@ -63,7 +63,7 @@ class StoppedError(RigError):
 
 
 class LogError(ValueError):
-    """A log or a table cannot be used; the message says where, and what to do."""
+    """A log or a table cannot be used; the message says where the mistake is, and what to do."""
 
 
 def shortened(message: str) -> str:
@@ -73,7 +73,7 @@ def shortened(message: str) -> str:
 
 @contextmanager
 def reading(key: str):
-    """Turn an error that occurs while the note `key` is read into a LogError."""
+    """Turn an error in this block, which reads the metadata entry `key`, into a LogError."""
     try:
         yield
     except MISUNDERSTOOD as error:

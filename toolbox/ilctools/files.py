@@ -1,4 +1,4 @@
-"""Read and write files, as a whole or not at all, and by one process at a time.
+"""Write files as a whole or not at all, and lock them for one process at a time.
 
 Only the standard library is used here, because `environment.py` needs this module before anything
 is installed.
@@ -29,9 +29,9 @@ def folder(path: Path) -> Path:
 def alone(lock: Path, refusal: str) -> Iterator[None]:
     """Hold the lock file `lock` in this block; raise `refusal` if another process holds it.
 
-    The file stays afterwards, but its lock ends with the block or the process. A link or a pipe at
-    the name of the lock file is an error. Otherwise anybody who can write to the folder could
-    decide what is created or waited for.
+    The file stays afterwards, but its lock ends with the block or the process. If a link or a pipe
+    has the name of the lock file, an error is raised. Otherwise anybody who can write to the folder
+    could choose which file is created, or make the process wait.
     """
     if lock.is_symlink() or (lock.exists() and not lock.is_file()):
         raise FileExistsError(f"{lock} is not a regular file, or is a link: remove it")
@@ -58,9 +58,9 @@ def replacing(path: Path) -> Iterator[Path]:
     """Provide a temporary file next to `path`, which replaces `path` if no error occurs.
 
     The folder must exist. Links are followed, and permissions stay. A device or a pipe is refused,
-    because a new file in its place would not be a write to the device. The name of the temporary
-    file is random. Therefore no other writer uses this name, and nobody can place a link there. If
-    the process is killed, a hidden file `.*.part` is left, which may be removed.
+    because the new file would take its place instead of being written to it. The name of the
+    temporary file is random. Therefore no other writer uses this name, and nobody can place a link
+    there. If the process is killed, a hidden file `.*.part` is left, which may be removed.
     """
     path = regular(path)
     temporary = path.with_name(f".{uuid4().hex}.part")
@@ -78,7 +78,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Replace a text file, UTF-8 with line feeds, as a whole or not at all."""
+    """Replace a text file as a whole or not at all, in UTF-8 and with line feeds."""
     write_pieces(path, [text.encode()])
 
 
@@ -89,7 +89,7 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
 
 
 def append(path: Path, pieces: Iterable[bytes]) -> None:
-    """Append to a file on the disk; if an error occurs, the file is restored."""
+    """Append to a file, and wait until the disk has it; if an error occurs, restore the file."""
     size = path.stat().st_size
     try:
         _write(path, pieces, "ab")

@@ -1,13 +1,14 @@
 """The two filters of the ILC law v_{k+1} = Q (v_k + L e_k), equation (23) of the paper.
 
-Each filter has a frequency response and a method that applies it to a finite trial. Both filters
-look ahead in time. This is possible because they act between two trials, when the whole last trial
-is known.
+Q is a low-pass filter, which makes learning robust. L is the learning filter, which computes a
+change of v from the error e. Each filter has a frequency response and a method that applies it to a
+finite trial. Q and L look ahead in time. This is possible because they act between two trials, when
+the whole last trial is known.
 
 Beyond the two ends of a trial nothing has been recorded, so something must be assumed there.
 ``ends="zero"`` takes every signal as zero outside the trial. The filters are then exactly the
-two-sided filters of the analysis, and only the samples of the trial are kept of their output.
-``ends="hold"`` repeats the first sample before the trial and the last sample after the trial.
+two-sided filters of the analysis. Only those samples of their output that lie within the trial are
+kept. ``ends="hold"`` repeats the first sample before the trial and the last sample after the trial.
 ``ends="hold-last"`` repeats only the last sample, which suits a trial that begins at rest and does
 not end at zero.
 """
@@ -30,12 +31,12 @@ ENDS = {  # whether the first sample is repeated before the trial, and the last 
 }
 # Inputs and outputs of the plant: L makes inputs from errors.
 AXES_OF_L = (labels.INPUT, labels.OUTPUT, "order")
-LONG = 100  # coefficients; above, doubles and fast convolution suffice, see `time_shifts`
+LONG = 100  # coefficients; above, doubles and fast convolution are used, see `time_shifts`
 FARTHEST_TAP = 10**6  # largest number of samples that a filter may look ahead or back
 HIGHEST_ORDER = 20  # of Q: a higher number is probably a cut-off, passed as the order
-LONGEST_RESPONSE = 10**7  # longest response of Q each way, samples
+LONGEST_RESPONSE = 10**7  # longest impulse response of Q in each direction of time, samples
 ANYWHERE = 1.0  # rad per sample: a frequency at which only the shape of a response is checked
-WEIGHT_OF_CHANGE = 1e-2  # of ||v||^2 beside ||P v||^2, for changes that outputs hardly show
+WEIGHT_OF_CHANGE = 1e-2  # of ||v||^2 beside ||P v||^2, for v with little effect on outputs
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class ZeroPhaseButterworth:
     The response of Q is |H|^2, where H is the response of the Butterworth filter, equation (43) of
     the paper. Scipy's and MATLAB's ``filtfilt`` filter in the same way: F. Gustafsson, Determining
     the initial states in forward-backward filtering, IEEE Transactions on Signal Processing 44
-    (1996) 988-992. Unlike ``filtfilt``, this filter continues a signal beyond the trial by `ends`.
+    (1996) 988-992. Unlike ``filtfilt``, this filter continues a signal beyond the trial as `ends`
+    says.
 
     Attributes
     ----------
@@ -57,7 +59,7 @@ class ZeroPhaseButterworth:
     Ts : float
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
-        What a signal is taken to be outside the trial.
+        How a signal is continued outside the trial, see :mod:`ilctools.filters`. Default: by zeros.
 
     See Also
     --------
@@ -141,7 +143,7 @@ class ZeroPhaseButterworth:
         return self._both_ways(line)[..., reach:-reach, :]
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
+        """Apply the transpose of the matrix that represents :meth:`apply` on a trial."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         reach = self.decay
         line = _continued(signal, 2 * reach, 2 * reach, "zero")
@@ -149,7 +151,7 @@ class ZeroPhaseButterworth:
         return _folded(wide, reach, signal.shape[-2], self.ends)
 
     def _both_ways(self, line):
-        """Filter a signal (..., time, channel) forward and backward, each time from rest."""
+        """Filter a signal (..., time, channel) forward and backward, both times from rest."""
         for _ in range(2):
             line = sosfilt(self.sections, line, axis=-2)[..., ::-1, :]
         return line
@@ -164,7 +166,7 @@ def _continued(signal, before, after, ends):
 
 
 def _folded(line, before, samples, ends):
-    """Apply the transpose of `_continued`: samples beyond a held end add to the end's sample."""
+    """Apply the transpose of `_continued`: add samples beyond a held end to the sample there."""
     inside, (first, last) = line[..., before : before + samples, :].copy(), ENDS[ends]
     inside[..., 0, :] += first * line[..., :before, :].sum(axis=-2)
     inside[..., -1, :] += last * line[..., before + samples :, :].sum(axis=-2)
@@ -177,14 +179,14 @@ zero_phase_butterworth = ZeroPhaseButterworth
 
 @runtime_checkable
 class LearningOperator(Protocol):
-    """The contract of L in the law v_{k+1} = Q (v_k + L e_k), equation (23) of the paper.
+    """The interface of L in the law v_{k+1} = Q (v_k + L e_k), equation (23) of the paper.
 
     L is a linear map from the errors of a trial to changes of v.
 
-    Any object that keeps this contract can be used as L in :class:`ilctools.Law` and
+    Any object that has this interface can be used as L in :class:`ilctools.Law` and
     :func:`ilctools.convergence`. Examples are :class:`LearningFilter` and
-    :class:`ilctools.NormOptimal`. An operator can be pickled, so that a law can be sent to other
-    processes.
+    :class:`ilctools.NormOptimal`. The module ``pickle`` must be able to store an operator, so that
+    a law can be sent to other processes.
     """
 
     @property
@@ -201,14 +203,15 @@ class LearningOperator(Protocol):
 
     @property
     def weight_of_change(self) -> float:
-        """Weight in the norm ||P v||^2 + weight ||v||^2, in units of y^2 per v^2.
+        """Weight of ||v||^2 in the norm ||P v||^2 + weight ||v||^2, in units of y^2 / v^2.
 
         If commands have limits, the law projects v onto the limits in this norm. An operator may
-        also have `weight_of_errors`: weights of the squares of P v, by time and output, (time, p).
+        also have an attribute `weight_of_errors`, with the weights of the squares of P v, by time
+        and output, (time, p).
         """
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute L far from the ends of a trial, at `omega` (rad/s, (n,)): (n, m, p), complex."""
+        """Compute L at `omega` (rad/s), far from the ends of a trial, complex, shape (n, m, p)."""
 
     def apply(self, signal) -> np.ndarray:
         """Filter errors (..., time, p), in units of y, to changes (..., time, m), in units of v.
@@ -217,9 +220,9 @@ class LearningOperator(Protocol):
         """
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Apply the transpose of :meth:`apply` to signals (..., time, m): (..., time, p).
+        """Apply the transpose of :meth:`apply` to signals (..., time, m); return (..., time, p).
 
-        On a trial, sum(y * apply(x)) = sum(apply_transposed(y) * x).
+        On a trial, sum(y * apply(x)) = sum(apply_transposed(y) * x) for any x and y.
         """
 
 
@@ -227,21 +230,22 @@ class LearningOperator(Protocol):
 class LearningFilter:
     """A learning filter L of finite impulse response, which may look ahead in the recorded error.
 
-    L(q) e(p) = sum_k C_k e(p + k), equations (42) and (44) of the paper. See also D. A. Bristow, M.
-    Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems
-    Magazine 26 (2006) 96-114.
+    Its output at sample p is L(q) e(p) = sum_k C_k e(p + k), by equations (42) and (44) of the
+    paper. See also D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning
+    control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
     Attributes
     ----------
     coefficients : ndarray, shape (m, p, order)
-        L_ij(q) = sum_k coefficients[i, j, k - first] q^k, where q looks one sample ahead.
+        L_ij(q) = sum_k coefficients[i, j, k - first] q^k, where q e(p) = e(p + 1).
     Ts : float
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
-        What the error is taken to be beyond the ends of the trial.
+        How the error is continued beyond the ends of the trial, see :mod:`ilctools.filters`.
+        Default: by zeros.
     first : int
-        The lowest k. In equation (44) the lowest k is 1, and the filter only looks ahead. If
-        `first` is below zero, the filter looks back, too.
+        The lowest k in the sum. In equation (44) the lowest k is 1, and the filter only looks
+        ahead. If `first` is below zero, the filter also looks back.
 
     See Also
     --------
@@ -285,7 +289,7 @@ class LearningFilter:
 
     @property
     def order(self) -> int:
-        """Number of coefficients; the filter (44) of the paper looks ahead by so many samples."""
+        """Number of coefficients; the filter (44) of the paper looks ahead by this many samples."""
         return self.coefficients.shape[2]
 
     @property
@@ -299,10 +303,10 @@ class LearningFilter:
         return np.zeros(max(abs(self.first), abs(self.last)))
 
     def __matmul__(self, K: "LearningOperator") -> "Filter":
-        """Compose this filter with a filter K: the product, with the ends of K.
+        """Return the product of this filter and a filter K on its right, with the `ends` of K.
 
-        If the right factor is a base B instead, the result is the composition K B, in which this
-        filter is K.
+        If the right factor is another operator, such as the base B of :mod:`.base`, the result is
+        the composition K B, in which this filter is K.
         """
         if not isinstance(K, LearningFilter):
             return Composition(K, self, K_first=False)
@@ -310,7 +314,7 @@ class LearningFilter:
         return LearningFilter(products.sum(axis=1), K.Ts, K.ends, self.first + K.first)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, p), complex."""
+        """Compute the complex response L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, p)."""
         angles = self.Ts * arguments.row("omega", omega)
         shifts = time_shifts(angles, min(self.order, LONG))
         if self.order > LONG:
@@ -323,7 +327,7 @@ class LearningFilter:
         return response
 
     def apply(self, signal) -> np.ndarray:
-        """Filter errors of shape (..., time, p) on a trial: shape (..., time, m)."""
+        """Filter errors of shape (..., time, p) on a trial; the result has shape (..., time, m)."""
         signal = arguments.array("signal", signal, (..., "time", self.columns))
         before = max(0, -self.first)
         line = _continued(signal, before, max(0, self.last), self.ends)
@@ -340,7 +344,7 @@ class LearningFilter:
         return result[..., start : start + signal.shape[-2], :]
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
+        """Apply the transpose of the matrix that represents :meth:`apply` on a trial."""
         signal = arguments.array("signal", signal, (..., "time", self.rows))
         flipped = self.coefficients.swapaxes(0, 1)[..., ::-1]
         mirrored = LearningFilter(flipped, self.Ts, "zero", -self.last)
@@ -351,10 +355,10 @@ class LearningFilter:
 
 @dataclass(frozen=True)
 class Composition:
-    """The product L = B K: K filters the error, and B acts on the result. It may also be L = K B.
+    """The product L = B K, in which K filters the error and B acts on the result, or L = K B.
 
-    ``B @ K`` or ``K @ B`` make a composition. If B is a LearningFilter itself, B K is a
-    LearningFilter, too.
+    ``B @ K`` and ``K @ B`` make a composition. If both factors are a LearningFilter, their product
+    is a LearningFilter instead.
     """
 
     B: LearningOperator
@@ -375,7 +379,7 @@ class Composition:
 
     @property
     def factors(self) -> tuple[LearningOperator, LearningOperator]:
-        """Both factors; the factor that acts last comes first."""
+        """Both factors, B and K; the factor that acts on the error stands last."""
         return (self.B, self.K) if self.K_first else (self.K, self.B)
 
     @property
@@ -404,17 +408,17 @@ class Composition:
         return np.append(self.B.poles, self.K.poles)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute L at `omega` (rad/s), shape (n, m, p), complex."""
+        """Compute the complex response of L at `omega` (rad/s), shape (n, m, p)."""
         last, first = self.factors
         return last.frequency_response(omega) @ first.frequency_response(omega)
 
     def apply(self, signal) -> np.ndarray:
-        """Filter errors of shape (..., time, p) on a trial: shape (..., time, m)."""
+        """Filter errors of shape (..., time, p) on a trial; the result has shape (..., time, m)."""
         last, first = self.factors
         return last.apply(first.apply(signal))
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Filter a signal by the transpose of the matrix of :meth:`apply` on a trial."""
+        """Apply the transpose of the matrix that represents :meth:`apply` on a trial."""
         last, first = self.factors
         return first.apply_transposed(last.apply_transposed(signal))
 
@@ -432,7 +436,7 @@ def time_shifts(angles, order) -> np.ndarray:
 
 
 def check_learning(L: LearningOperator, name: str = "L", rows=None, columns=None) -> None:
-    """Check that the response of L has the stated rows and columns, and those the plant needs."""
+    """Check that L has the rows and columns that the plant needs, and a response of this shape."""
     arguments.instance(name, L, LearningOperator)
     asked = (rows or L.rows, columns or L.columns)
     if (L.rows, L.columns) != asked:

@@ -1,4 +1,4 @@
-"""Findings of the checks of a design. A finding is a code with numbers; FINDINGS has the texts."""
+"""Findings of the checks of a design. A finding has a code and numbers; FINDINGS has the texts."""
 
 from dataclasses import dataclass
 from typing import Any

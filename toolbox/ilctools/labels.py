@@ -1,18 +1,19 @@
-"""Labelled arrays of xarray and pandas: find axes by name, and refuse contradictions.
+"""Labelled arrays of xarray and pandas: find axes by name, and refuse contradictory labels.
 
-An argument that has axes, such as P with (frequency, output, input), may be a labelled array, too.
+If an argument has axes, such as P with the axes (frequency, output, input), a labelled array may be
+passed. Its labels are used as follows.
 
 - **Dimensions** decide which axis is which: a DataArray with the dimensions (frequency, input,
-  output) is transposed. Other names are refused. If no dimension has a name, the axes stand in the
-  order of the argument.
+  output) is transposed. Other names of dimensions are refused. If no dimension has a name, the axes
+  must have the order that the argument prescribes.
 - **Frequencies** must be the values of `omega`, in rad/s and in the same order. If `omega` is left
   out, the frequencies of P, of Q or of the radius take its place.
-- **Names of channels** are compared like the names of a model: a plant that has the names of
-  another plant, or of the design, in another order is refused. If the inputs have the names of the
-  outputs, they are put in the order of the outputs. A scale is put in the order of the outputs of
-  P by its names, see :func:`.arguments.by_channel`.
+- **Names of channels** are compared like the names of a model. If a plant has the same names as
+  another plant, or as the design, but in another order, the plant is refused. If the inputs have
+  the names of the outputs, they are put in the order of the outputs. If a scale has names, it is
+  put in the order of the outputs of P, see :func:`.arguments.by_channel`.
 
-An index of whole numbers without a name only numbers the entries.
+If an index has whole numbers and no name, it only numbers the entries, and is ignored.
 """
 
 import re
@@ -25,7 +26,7 @@ import xarray as xr
 from ilctools import arguments
 
 PLANT, FREQUENCY, OUTPUT, INPUT = "plant", "frequency", "output", "input"
-UNNAMED = re.compile(r"dim_\d+")  # as xarray calls dimensions
+UNNAMED = re.compile(r"dim_\d+")  # names that xarray gives to dimensions without a name
 
 
 def is_labelled(value) -> bool:

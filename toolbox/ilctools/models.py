@@ -1,7 +1,7 @@
 """State-space models: their response, and their reachable and observable part.
 
-Before equation (12), Section III of the paper reduces a model to the states that controls reach and
-that outputs show. A second part of the module turns any plant, such as a transfer function, into a
+Before equation (12), Section III of the paper reduces a model to the states that the controls reach
+and the outputs show. This module also turns any plant, such as a transfer function, into a
 state-space model in discrete time.
 """
 
@@ -29,7 +29,7 @@ Model = control.StateSpace | Any
 
 
 def _reduced(model):
-    """Pickle a model, so that designs and loops can be sent to other processes."""
+    """Return how ``pickle`` restores a model, so that designs can be sent to other processes."""
     labels = {f"{kind}s": getattr(model, f"{kind}_labels") for kind in ("input", "output", "state")}
     make = partial(control.StateSpace, name=model.name, remove_useless_states=False, **labels)
     return make, (model.A, model.B, model.C, model.D, model.dt)
@@ -142,7 +142,7 @@ def on_trial(samples: int, of_x, of_d, delay: int = 0) -> sparse.csc_array:
 
 
 def dynamics_on_trial(samples: int, A, B) -> sparse.csc_array:
-    """Make the matrix that computes x(p) - A x(p - 1) - B d(p - 1), zero in a trial from rest."""
+    """Make the matrix that computes x(p) - A x(p - 1) - B d(p - 1), which is zero in a trial."""
     return on_trial(samples, np.eye(len(A)), np.zeros_like(B)) - on_trial(samples, A, B, delay=1)
 
 
@@ -180,9 +180,9 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     """Restrict a plant to the states that its controls reach and its outputs show.
 
     The state is expressed in an orthonormal basis of the reachable subspace, and then of the
-    observable part of this subspace. The order matters, because the observer's weight Q_o = diag(I,
-    2I) is not invariant under a change of basis. With the order used here, the gains are the gains
-    that the paper prints.
+    observable part of this subspace. The order of these two steps matters, because the weight Q_o =
+    diag(I, 2I) of the paper's observer is not invariant under a change of basis. With the order
+    used here, the gains are the gains that the paper prints.
 
     Parameters
     ----------
@@ -200,8 +200,8 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     Raises
     ------
     ValueError
-        If the controls reach no state, or if rounding decides which states they reach. The
-        remaining model must have the same frequency response as the plant.
+        If the controls reach no state that the outputs show. If rounding decides which states the
+        controls reach: then the frequency responses of the model and of the plant differ.
 
     See Also
     --------
@@ -253,7 +253,8 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
 def model_and_response(name: str, plant, omega, Ts: float):
     """Return the state-space model of a plant, and the response of the plant at `omega`.
 
-    If the plant is a measured response, the model is None. An array is itself the response.
+    If the plant is a measured response, the model is None. If the plant is an array, the array is
+    returned as the response.
     """
     refuse_foreign(name, plant)
     if not isinstance(plant, control.LTI):
@@ -336,7 +337,7 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def balanced(model, *further):
-    """Return A, B and C (with `further` rows) of a model whose states are scaled to like size.
+    """Return A, B and C (with `further` rows) of a model, with states scaled to similar size.
 
     No entry of A is then large merely because of the unit of a state.
     """
@@ -355,10 +356,11 @@ def balanced(model, *further):
 
 
 def _realised(plant, name):
-    """Realise a transfer function as P = H R: a shift register R of each input, then a minimal H.
+    """Realise a transfer function as P = H R, with shift registers R and a minimal model H.
 
-    The delay of an entry is the place where H taps the register. If delays that several entries
-    share were states of H, rounding would decide which of these states are minimal.
+    A shift register delays each input. For each entry of the transfer function, H reads the
+    register at the delay of this entry. If the delays were states of H instead, several entries
+    would share them, and rounding would decide which of these states are redundant.
     """
     m, p = plant.shape
     parts = {place: _without_delay(name, plant, *place) for place in np.ndindex(m, p)}
@@ -375,7 +377,7 @@ def _realised(plant, name):
 
 
 def _without_delay(name, plant, i, j):
-    """Split an entry of a transfer function into a delay, in samples, and a model of the rest."""
+    """Split an entry of a transfer function into its delay in samples and a model without delay."""
     num, den = plant.num[i][j], plant.den[i][j]
     num = np.append(np.trim_zeros(num[:-1], "f"), num[-1])
     delay = max(0, len(den) - max(len(num), len(np.trim_zeros(den, "b"))))

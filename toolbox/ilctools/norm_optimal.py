@@ -18,8 +18,9 @@ from ilctools.riccati import TrialLeastSquares
 class NormOptimal:
     """The norm-optimal law L = (P_N^T W P_N + weight I)^-1 P_N^T W, for trials of N samples.
 
-    L gives the change of v that minimises the sum of (e - P_N change)^T W (e - P_N change) and
-    weight ||change||^2. W is I, or the diagonal matrix of the weights `errors`. The source is
+    L computes, from the error e, the change of v that minimises the sum of
+    (e - P_N change)^T W (e - P_N change) and weight ||change||^2. The matrix P_N maps the inputs of
+    a trial to its outputs. W is I, or the diagonal matrix of the weights `errors`. The source is
     N. Amann, D. H. Owens and E. Rogers, Iterative learning control using optimal feedback and
     feedforward actions, International Journal of Control 65 (1996) 277-293. For the rod, see [15]
     of the paper.
@@ -31,9 +32,9 @@ class NormOptimal:
         than inputs m, part of the error remains. Apart from the effect of the weight, no other
         change of v leaves a smaller error.
     weight : float
-        Weight of the change, above zero, in the square of the unit of y per unit of w.
+        Weight of the change, above zero. Its unit is the square of the unit of y per unit of v.
     samples : int
-        Length N of a trial.
+        Length N of a trial, in samples.
     errors : array_like, shape (samples, p), or (samples,) of one output, optional
         Weights of the errors in W, by time and output. A weight is zero where the error does not
         count. A reference with NaN sets the weights automatically. Default: one.
@@ -46,15 +47,15 @@ class NormOptimal:
     Notes
     -----
     The inverse is never formed. With the states of P, the change follows from one recursion
-    backwards in time and one recursion forwards (:mod:`.riccati`). The gains of the recursions
-    change only near the end of the trial. Therefore they need little more memory than the signals.
-    Rounding
-    moves the change by at most 1e-16 times the condition number of the normal equations, which is
-    (sigma_max(P)^2 + weight) / weight.
+    backwards in time and one recursion forwards in time (:mod:`.riccati`). The gains of the
+    recursions change only near the end of the trial. Therefore the recursions need little more
+    memory than the signals. Rounding errors of the change are at most 1e-16 times the condition
+    number of the normal equations, which is (sigma_max(P)^2 + weight) / weight.
 
     Some transfer functions have modes that are slow compared with Ts and close to each other. The
-    coefficients of such a transfer function determine a trial to few digits only. With three modes
-    of 3, 4 and 5 Hz at 1 kHz, the relative error is a tenth. Use states instead, as in
+    coefficients of such a transfer function determine the signals of a trial only to a few digits.
+    With three modes of 3, 4 and 5 Hz at a sampling rate of 1 kHz, the relative error of the signals
+    is a tenth. Use a state-space model instead, as in
     ``control.sample_system(control.ss(plant), Ts)``.
 
     Examples
@@ -141,7 +142,7 @@ class NormOptimal:
 
     @cached_property
     def _factors(self) -> TrialLeastSquares:
-        """Factors of the least-squares problem on a trial; they serve any error."""
+        """Factors of the least-squares problem on a trial, which are the same for any error."""
         return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples, self.errors)
 
     def apply(self, signal) -> np.ndarray:

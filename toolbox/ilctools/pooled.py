@@ -1,9 +1,9 @@
 """Several plants stacked into one model, in which common states are kept once.
 
 The base B = (P* P + b^2)^-1 P* E of :mod:`.base` needs this stacked model P, and the matrix E. The
-plants P_k, each divided by sqrt(p), are driven by the same inputs. Copies of one plant that differ
-in gain alone have all states in common. Similar plants have most states in common. With the factors
-of the two Gramians of the stacked model,
+p plants P_k, each divided by sqrt(p), have the same inputs. Copies of one plant that differ in gain
+alone have all states in common. Similar plants have most states in common. With the factors of the
+two Gramians of the stacked model,
 
     X X^T = sum over k of A^k B B^T A^kT,    Y Y^T = sum over k of A^kT C^T C A^k,
 
@@ -15,13 +15,13 @@ International Journal of Control 39 (1984) 1115-1193, and in discrete time U. M.
 G. F. Franklin, IEEE Transactions on Automatic Control 32 (1987) 815-819. The factors are found by
 doubling, X <- [X, A^(2^j) X], and are never squared. Small singular values thus keep their digits.
 
-The stacked P may be multiplied from the left by a matrix with orthonormal rows, if these rows span
-the columns of [C, D]. The multiplication does not change P* P and P* E, which are all that B needs.
-P therefore keeps as many outputs as [C, D] has columns.
+The stacked P may be multiplied from the left by a matrix with orthonormal rows, if the row space of
+this matrix contains the columns of [C, D]. The multiplication does not change P* P and P* E, which
+are all that B needs. P therefore keeps as many outputs as [C, D] has columns.
 
 If P has an error of d, then to first order B differs by at most 5 d / (4 b^2). The iteration matrix
 M = Q (I - P L) differs by at most this value times sigma_max(P). d is chosen for a small change of
-M. Afterwards P* P of the stacked model is compared with the mean over the plants.
+M. Afterwards P* P of the stacked model is compared with the mean of P_k* P_k over the plants.
 """
 
 from typing import NamedTuple
@@ -34,14 +34,14 @@ from ilctools.models import balanced, frequency_response
 from ilctools.singular_values import largest_singular_values
 
 GROUP = 8  # models joined at a time: for 200 models, 2 take 1.6 times as long, and 32 twice as long
-CHANGES = 1e-9, 1e-5  # change of M up to which states are left out. The second counts if too many
-# states remain, because a finite filter in place of B would change M by 1e-4.
+CHANGES = 1e-9, 1e-5  # change of M up to which states are left out. The second is used if too
+# many states remain, because a finite filter in place of B would change M by 1e-4.
 # Largest number of doublings of the terms of a Gramian. The response of a pole within 1e-14 of the
 # unit circle lasts so long.
 DOUBLINGS = 50
 ROUNDING_OF_GRAMIAN = 1e-17  # relative to a Gramian's factor: smaller terms are not added
 LEVELS_OF_GROUPS = 3  # levels of groups of GROUP, up to 512 models; each level adds its error
-COMPARED_FREQUENCIES = 128  # number of frequencies at which P* P is compared, besides the poles'
+COMPARED_FREQUENCIES = 128  # number of frequencies, besides those of poles, to compare P* P at
 
 
 class Pooled(NamedTuple):
@@ -52,15 +52,15 @@ class Pooled(NamedTuple):
 
 
 def isometry(copies, size) -> np.ndarray:
-    """Make E: `copies` identities one below the other, divided by the square root of `copies`."""
+    """Make E, a stack of `copies` identity matrices, divided by the square root of `copies`."""
     return np.tile(np.eye(size), (copies, 1)) / np.sqrt(copies)
 
 
 def pooled(models, b, change) -> Pooled:
     """Make P and E from several models; leave out states as long as M changes by at most `change`.
 
-    P* P is then compared with its mean over the models at many frequencies. If the difference is
-    larger than expected, all states are kept.
+    P* P is then compared, at many frequencies, with the mean of P_k* P_k over the models P_k. If
+    the difference is larger than expected, all states are kept.
     """
     count, (p, m) = len(models), models[0].shape
     if count == 1:

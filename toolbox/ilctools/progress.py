@@ -16,7 +16,7 @@ PATIENCE = 5  # s, after which a user wonders whether the call still runs
 
 def progress(**options) -> tqdm:
     """Make a progress bar with the options of tqdm."""
-    where = {"disable": None}  # unless it is a terminal
+    where = {"disable": None}  # a bar is shown only in a terminal
     if type(sys.stderr).__module__.startswith("ipykernel"):
         off = "TQDM_DISABLE" in os.environ
         where = {"delay": PATIENCE, "leave": False, "disable": off}
@@ -25,7 +25,7 @@ def progress(**options) -> tqdm:
 
 @contextmanager
 def watched(name: str):
-    """Show for how long the function `name` has been running, once it takes some seconds."""
+    """If the function `name` takes more than some seconds, show how long it has been running."""
     ended = Event()
 
     def watch():

@@ -5,9 +5,9 @@ We look for the input d that minimises
     sum over p of |y(p)|^2 + weight |d(p)|^2 - 2 f(p)' x(p) - 2 g(p)' d(p),                     (1)
     x(p + 1) = A x(p) + B d(p),    y(p) = C x(p) + D d(p),    x(0) = 0,    p = 0, ..., N - 1.
 
-With f = C' e and g = D' e, this d is the change that fits an error e best. By dynamic programming,
-the least sum from sample p on is x' S(p) x - 2 s(p)' x plus a constant. Here S(N) = 0, s(N) = 0,
-and backwards in time
+With f = C' e and g = D' e, this d is the change of v whose response fits an error e best. By
+dynamic programming, the least sum from sample p on is x' S(p) x - 2 s(p)' x plus a constant. Here
+S(N) = 0, s(N) = 0, and backwards in time
 
     R(p) = weight I + D' D + B' S(p + 1) B,                                                     (2)
     K(p) = R(p)^-1 (D' C + B' S(p + 1) A),                                                      (3)
@@ -19,9 +19,9 @@ Then, forwards in time,
     d(p) = u(p) - K(p) x(p),    u(p) = R(p)^-1 (g(p) + B' s(p + 1)),                            (6)
     x(p + 1) = F(p) x(p) + B u(p).                                                              (7)
 
-(2) to (4) do not depend on f and g. Some samples before the end of the trial, K, R and S stop
-changing. One K therefore serves all earlier samples, and memory for a trial is little more than its
-signals. S is propagated as S = U' U (square-root form). The QR decomposition
+(2) to (4) do not depend on f and g. Backwards in time, K, R and S stop changing after some samples.
+One K therefore serves all earlier samples, and a trial needs little more memory than its signals. S
+is propagated as S = U' U (square-root form). The QR decomposition
 
     [ sqrt(weight) I    0    ]
     [       D           C    ]  =  orthogonal [ T   T K ]          with  R = T' T
@@ -38,8 +38,8 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtbtrs
 
 # S counts as constant if its relative change from one check to the next is below this value. Each
-# check is half as far again from the end of the trial. S grows ever more slowly, and if modes
-# decay, far less is still to come. Rounding moves S by 1e-14.
+# check is half as far again from the end of the trial. S grows ever more slowly. If all modes
+# decay, S then grows by far less than this change. The relative rounding error of S is 1e-14.
 STATIONARY_S = 1e-13
 FIRST_LOOK = 8  # samples from the end of the trial to the first check
 PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: the matrix fits the cache
@@ -48,7 +48,7 @@ PIECE = 2**17  # numbers in the matrix of (5) and (7) for some samples: the matr
 class Gains(NamedTuple):
     """The gains K, and T^-1 with R = T' T, for the last samples of a trial.
 
-    The first of these gains also hold for all earlier samples.
+    The gains of the first of these samples also hold for all earlier samples.
     """
 
     K: np.ndarray  # (count, m, n)
@@ -58,8 +58,8 @@ class Gains(NamedTuple):
 def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
     """Compute K and T^-1 by (2) to (4), backwards from the end until S no longer changes.
 
-    With weights of errors (samples, p), |y|^2 in (1) becomes sum_i errors_i y_i^2. Gains are then
-    computed for all samples.
+    If weights `errors`, (samples, p), are passed, |y|^2 in (1) becomes sum_i errors_i y_i^2. Gains
+    are then computed for all samples.
     """
     n, m = B.shape
     above = np.block([[np.sqrt(weight) * np.eye(m), np.zeros((m, n))], [D, C]])
@@ -109,7 +109,7 @@ def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TrialLeastSquares:
-    """The least-squares problem (1) for trials of N samples, factored once for any f and g."""
+    """The least-squares problem (1) for trials of N samples; its factors serve any f and g."""
 
     def __init__(self, A, B, C, D, weight: float, samples: int, errors=None):
         self.A, self.B, self.samples = A, B, samples

@@ -15,8 +15,8 @@ from ilctools.arguments import ROLES
 
 ASKED = "asked"  # the coordinate that says at which points the error counts
 TRIAL_AXES = ("trial", "time", "channel")  # of outputs and controls
-# Signals of trials, in their order in a log, and the role of their channels. The channels of v are
-# inputs if v is not added to references, one for each output.
+# Signals of trials, in their order in a log, and the role of their channels. If v is not added to
+# the references, one for each output, the channels of v are inputs.
 SIGNALS = {
     "reference": "output",
     "v": "output",
@@ -31,11 +31,11 @@ SIGNALS = {
 
 @dataclass(frozen=True)
 class Signals:
-    """Sampling period (s), names and units of signals; None means not known.
+    """Sampling period (s), names and units of signals; a property that is None is not known.
 
-    Outputs, learned inputs and controls must be the same wherever they are known. Labels are the
-    names of the signals of models. Two models may have different labels, but not the same labels in
-    another order.
+    Outputs, learned inputs and controls must be the same for any two parties that know them, see
+    :func:`check_match`. Labels are the names of the signals of models. Two models may have
+    different labels, but not the same labels in another order.
     """
 
     Ts: float | None = None
@@ -60,7 +60,7 @@ class Signals:
 
     @classmethod
     def of_plant(cls, plant, Ts: float) -> "Signals":
-        """Read labels and units of a plant in any form; an array has none, and the period Ts."""
+        """Read labels and units of a plant in any form; an array only has the period Ts."""
         plant = getattr(plant, "loop", plant)  # of a measured response
         Ts, units = getattr(plant, "Ts", Ts), getattr(plant, "units", {})
         learned = None if getattr(plant, "one_for_one", True) else plant.learned
@@ -87,7 +87,8 @@ def dataset(
 ) -> xr.Dataset:
     """Make trials from their signals, shape (trial, time, channel), with coordinates and units.
 
-    `learned` names the inputs to which v is added, if v is not added to references one for one.
+    If v is not added to the references, one channel for each output, `learned` names the inputs
+    that v is added to.
     """
     trials, samples, p = signals["y"].shape
     if "reference" in signals:
@@ -133,11 +134,12 @@ def roles_of(of_inputs: bool) -> dict[str, str]:
 
 
 def check_match(**parties) -> None:
-    """Refuse parties that differ in sampling period, channels, their order, or units.
+    """Refuse objects that differ in sampling period, channels, order of channels, or units.
 
-    Each keyword is the name of a party in errors. A party is a loop, a law, a filter, a rig, a
-    model, :class:`Signals`, ... Periods, channels, names and units are compared if two parties have
-    them. An empty unit is not known, and fits all other units.
+    The objects are called parties here. They are loops, laws, filters, rigs, models or
+    :class:`Signals`. Each keyword is the name that error messages use for a party. Periods,
+    channels, names and units are compared if two parties have them. An empty unit means that the
+    unit is not known, and agrees with all other units.
     """
     compared = {}
     for whose, party in parties.items():

@@ -6,7 +6,7 @@ TIED = 1e-6  # relative distance below which a solver's accuracy decides which v
 
 
 def tied(values):
-    """Mark the largest values, and values whose distance to the largest may be rounding."""
+    """Mark the largest values, and values whose distance to the largest may be due to rounding."""
     return values >= values.max(axis=0) * (1 - TIED)
 
 

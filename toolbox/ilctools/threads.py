@@ -1,6 +1,6 @@
 """Use one thread for linear algebra: matrices here are small, and further threads only wait.
 
-On one thread sums are also taken in one order. The digits are then the same on all machines.
+With one thread, sums are also added in one order. All machines then give the same digits.
 """
 
 from collections.abc import Callable
@@ -20,10 +20,10 @@ Function = TypeVar("Function", bound=Callable)  # with its signature, for editor
 class SharedLimit:
     """A limit of one BLAS thread, which lasts as long as any user in this process holds it.
 
-    Most libraries have one number of threads for the whole process. Suppose that each user noted
-    this number and restored it. A user that begins while another user is running would then note
-    the limit itself, and leave the limit behind. The users are therefore counted: the first user
-    sets the limit, and the last user removes it.
+    A user is a call that runs under this limit. Most libraries have one number of threads for the
+    whole process. Suppose that each user noted this number and restored it. A user that begins
+    while another user is running would then note the limit itself, and leave the limit behind. The
+    users are therefore counted: the first user sets the limit, and the last user removes it.
     """
 
     def __init__(self):

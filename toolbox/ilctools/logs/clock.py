@@ -1,7 +1,8 @@
-"""The clock of a table: checks that trials are complete, equally long and sampled in time.
+"""The clock of a table: check that trials are complete, equally long and sampled on time.
 
 A table has the columns trial and time (s) and is indexed by the rows of the file. Clocks jitter.
-Therefore each step is compared with Ts, and the mean step is compared with Ts, too.
+Therefore each step may differ from Ts by a tolerance. The mean step may differ from Ts by a smaller
+tolerance.
 """
 
 import re

@@ -1,6 +1,7 @@
-"""The trial log as text: lines `# key: value`, a line of titles, rows; see data/README.md.
+"""The trial log as text: metadata, a line of titles, and rows; see data/README.md.
 
-:func:`columns_of` defines the columns, both for writing and for reading.
+A line of metadata is `# key: value`. :func:`columns_of` defines the columns, for writing and for
+reading.
 """
 
 import json
@@ -38,16 +39,17 @@ def save_log(trials: xr.Dataset, path) -> None:
     ----------
     trials : xarray.Dataset
         Trials from :func:`ilctools.run_trials`, :func:`ilctools.record` or :func:`load_log`. The
-        error `e` is not written, because e = reference - y. Attributes become metadata. A line of
-        text is written unchanged, and any other value as JSON. Other variables, coordinates and
-        attributes of signals are not written.
+        error `e` is not written, because e = reference - y. Attributes become metadata. An
+        attribute that is a line of text is written unchanged, and any other attribute is written as
+        JSON. Other variables, coordinates and attributes of signals are not written.
     path : path-like
+        Path of the log.
 
     Raises
     ------
     ValueError
         If :func:`load_log` would not give back a signal or an attribute unchanged. If the path
-        holds a file that does not begin as a log, such as raw data.
+        holds a file that does not begin like a log, such as raw data.
 
     See Also
     --------

@@ -36,23 +36,24 @@ def load_log(path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Trials as from :func:`ilctools.run_trials`, in the units of the file and with its numbers of
-        trials. The signals ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
-        ``measured`` are there if the file has them. The metadata are attributes. If the clock was
-        inexact, the attribute ``clock`` describes it, see :func:`read_table`.
+        Trials as from :func:`ilctools.run_trials`, in the units of the file and with the trial
+        numbers of the file. The signals ``reference``, ``v`` and ``e``, ``u``, ``delta``,
+        ``disturbance`` and ``measured`` are there if the file has them. The metadata are
+        attributes. If the clock was inexact, the attribute ``clock`` describes it, see
+        :func:`read_table`.
 
     Raises
     ------
     LogError
-        If something is wrong with the file. The error names the first mistake with its metadata or
-        its row; row 0 is the first one below the titles. If the file is not text in UTF-8, the
-        error says what to do.
+        If something is wrong with the file. The error names the first mistake, and the line of
+        metadata or the row in which the mistake is. Row 0 is the first row below the titles. If the
+        file is not text in UTF-8, the error says what to do.
 
     Warns
     -----
     UserWarning
         If the last trial is shorter than the first, or if the last line has no line feed. A power
-        cut may cause both. The incomplete trial or line is left out.
+        cut during the recording may have these effects. The incomplete trial or line is left out.
 
     See Also
     --------
@@ -127,7 +128,7 @@ def _with_points_from(note, trials):
 
 @contextmanager
 def about(path) -> Iterator[None]:
-    """Turn errors about a file into a LogError that names the file, in a few printable words."""
+    """Turn an error in this block into a short, printable LogError that names the file `path`."""
     try:
         yield
     except OSError as error:
@@ -189,7 +190,10 @@ def numbers_in(column: pd.Series) -> pd.Series:
 
 
 def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]]:
-    """Return the columns by signal; refuse columns that a log of these signals does not have."""
+    """Return the column titles of each signal.
+
+    Raise an error if a column of the log is missing or unknown.
+    """
     columns = columns_of(signals, [title.partition("_")[0] for title in header])
     titles = ["trial", "time", *chain(*columns.values())]
     if sorted(header) != sorted(titles):

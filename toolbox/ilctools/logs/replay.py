@@ -68,7 +68,7 @@ class Replay:
 
     @property
     def model(self) -> control.StateSpace | None:
-        """The model that the commands drive: the plant, or for a ClosedLoop P with the input w."""
+        """The model that the commands drive: the plant; for a ClosedLoop, P with the input w."""
         if self.loop is None:
             return None
         return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
@@ -101,9 +101,10 @@ class Replay:
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs that the model predicts from the recorded inputs, from rest and without feedback.
+        """Outputs that the model predicts from the recorded inputs alone, from rest.
 
-        The result is None if the model is unstable. An integrator counts as stable.
+        The prediction uses no recorded outputs. The result is None if the model is unstable. An
+        integrator counts as stable.
         """
         if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE_POLE:
             return None
@@ -121,10 +122,10 @@ class Replay:
 
     @property
     def fit(self) -> pd.DataFrame | None:
-        """1 - ||y - y-hat|| / ||y - mean y|| by trial and output: 1 is a perfect prediction.
+        """1 - ||y - y-hat|| / ||y - mean y|| by trial and output, where y-hat is predicted.
 
-        If the fit is below a half, the loop is probably wrong for this log, or a signal that moves
-        the output was not recorded.
+        If the prediction is perfect, the fit is 1. If the fit is below a half, the loop is probably
+        wrong for this log, or a signal that acts on the output was not recorded.
         """
         if self.predicted is None:
             return None
@@ -137,8 +138,8 @@ class Replay:
     def expected(self) -> list[tuple[np.ndarray, Step | None]] | None:
         """The v of each trial as the law computes it, and the step that keeps limits of outputs.
 
-        The v is NaN if the trial before is missing. The result is None without a law, and for
-        trials without reset.
+        If the trial before is missing, the v is NaN. The result is None if there is no law, or no
+        reset between trials.
         """
         if self.law is None or not self.resets:
             return None
@@ -157,8 +158,8 @@ class Replay:
     def departure(self) -> pd.DataFrame | None:
         """Largest distance between the recorded v and the v of the law, by trial and channel.
 
-        The distance is NaN if the trial before is missing. The result is None without a law, and
-        for trials without reset.
+        If the trial before is missing, the distance is NaN. The result is None if there is no law,
+        or no reset between trials.
         """
         if self.expected is None:
             return None
@@ -169,9 +170,9 @@ class Replay:
     def kept(self) -> pd.DataFrame | None:
         """Distance of limited outputs from their limits, and the share alpha, by trial.
 
-        Before the trial, alpha was the share of the law's own change of v that the limits allowed.
-        A negative distance means that the output exceeded a limit. The result is None without
-        limits of outputs.
+        The share alpha is the part of the law's own change of v that the limits allowed before the
+        trial. A negative distance means that the output exceeded a limit. The result is None
+        without limits of outputs.
         """
         limits = getattr(self.law, "output_limits", None)
         if limits is None or self.expected is None:

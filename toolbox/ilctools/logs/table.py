@@ -55,13 +55,15 @@ def read_table(
     outputs : dict
         The column of each controlled output, by the name that the output gets.
     inputs : dict, optional
-        The column of the actuator that controls each output, in the order of the outputs. Default:
-        the actuators are not known.
+        The column of the command to the actuator that controls each output, by the name that the
+        command gets. The commands have the order of the outputs. Default: the commands are not
+        known.
     time : str or int, optional
         Column of the clock. If `time` is not passed, rows are `Ts` apart. The clock has numbers in
         the unit of its title, such as "t (ms)" or "t_ms", or in the unit that `units` gives; the
-        default is s. Or it has dates that pandas has parsed, by the options ``parse_dates=["t"],
-        date_format="ISO8601"``. A clock that counts from 1970 on in ms, us or ns needs its unit.
+        default is s. Instead, the clock may have dates that pandas has parsed, by the options
+        ``parse_dates=["t"], date_format="ISO8601"``. A clock that counts from 1970 on in ms, us or
+        ns needs its unit.
     Ts : float, optional
         Sampling period, s, which is needed without `time`. Default: the mean step of the clock,
         rounded within the scatter of the steps.
@@ -70,7 +72,8 @@ def read_table(
     v : dict, optional
         Column of the ILC signal that was added to the reference. Default: zero.
     disturbances, measured : dict, optional
-        Columns of measured inputs that no loop commands, and of further measured signals.
+        `disturbances` has the columns of measured inputs that no loop commands. `measured` has the
+        columns of further measured signals.
     trial : str or int, optional
         Column of the number of the trial, from 0 or 1 on. Default: all rows are one trial.
     units : dict, optional
@@ -89,8 +92,8 @@ def read_table(
     Raises
     ------
     LogError
-        If something is wrong with the table. The error names the column and the row; row 0 is the
-        first one below the titles. If the file is not text in `encoding` (default UTF-8), for
+        If something is wrong with the table. The error names the column and the row. Row 0 is the
+        first row below the titles. If the file is not text in `encoding` (default UTF-8), for
         example a workbook, the error says what to do.
 
     See Also

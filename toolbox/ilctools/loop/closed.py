@@ -20,7 +20,7 @@ from ilctools.signals import Signals, check_match
 
 
 class Feedback(NamedTuple):
-    """K and N of the commands u = K x + N v, where x are the states of P_v."""
+    """K and N of the commands u = K x + N v; x are the states of P_v, the model from v to y."""
 
     K: np.ndarray  # (commands, states)
     N: np.ndarray  # (commands, m)
@@ -30,12 +30,12 @@ class Feedback(NamedTuple):
 class Loop(Protocol):
     """The interface of a loop to which learning is applied.
 
-    Signals w = F r + G v go in, and outputs y come out. :class:`CurrentTrialLoop` and
-    :class:`ClosedLoop` have this interface. A class of yours may have it, too: laws, simulated
-    trials, rigs and measurements use nothing else of a loop. A log does not store a loop of your
-    class. Two loops of one dataclass are the same if all their fields are equal. Other loops are
-    compared by ``==``. Signals have the shape (..., time, channel), in the order of the names and
-    in their units.
+    The inputs of a loop are w = F r + G v, with references r, learned signals v, and matrices F and
+    G. Its outputs are y. :class:`CurrentTrialLoop` and :class:`ClosedLoop` have this interface. A
+    class of your own may have this interface as well, because laws, simulated trials, rigs and
+    measurements use nothing else of a loop. A log does not store a loop of your class. Two loops of
+    one dataclass are the same if all their fields are equal. Other loops are compared by ``==``.
+    Signals have the shape (..., time, channel), in the order of the names and in their units.
     """
 
     @property
@@ -95,7 +95,7 @@ class Loop(Protocol):
         """
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """Compute the v, (..., m), with which the loop would have asked for `applied`, not u.
+        """Compute the v, (..., m), with which the loop would have asked for `applied`, not `u`.
 
         Both `u` and `applied` are commands of shape (..., commands). Where they are equal, the
         result is v.
@@ -196,10 +196,10 @@ class CurrentTrialLoop:
         return signals.get("u")
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """Compute the v with which the loop would have asked for `applied`, not for u.
+        """Compute the v with which the loop would have asked for `applied` instead of `u`.
 
-        Let the observer (16) get the applied commands. Then a trial with saturated actuators is
-        exactly a trial without limits and with this v. This holds for any plant and follows from
+        If the observer (16) gets the applied commands, a trial with saturated actuators is exactly
+        a trial without limits and with this v. This holds for any plant and follows from
         u = N w - K_s x-hat - delta, (18).
         """
         try:
@@ -250,7 +250,7 @@ class CurrentTrialLoop:
         The result is like :attr:`closed`, but the first states belong to `plant`, a model of any
         order. The signals of `plant` are matched by name. The plant must have the loop's controls
         and outputs. A disturbance that the plant lacks has no effect. Signals of the plant that the
-        loop does not have are left out. Feedthrough is allowed.
+        loop does not have are left out. The plant may have direct feedthrough.
         """
         return _from_w_and_d(self, plant)
 
@@ -268,11 +268,11 @@ class CurrentTrialLoop:
         omega : array_like, shape (n,)
             Angular frequencies, rad/s.
         plant : control.StateSpace, control.TransferFunction or array_like, optional
-            A model as in :meth:`around`, or samples of a sampled plant's response on `omega`. The
-            samples are from the controls to y in the loop's order, shape (n, m, m), computed or
-            measured. For several plants, the shape is (..., n, m, m). Samples do not show whether
-            the loop is stable; the caller must know that the loop is stable. Default: the plant of
-            the design.
+            A model as in :meth:`around`, or the frequency response of a sampled plant at `omega`.
+            The response is from the controls to y in the loop's order, shape (n, m, m), and may be
+            computed or measured. For several plants, the shape is (..., n, m, m). A response does
+            not show whether the loop is stable; the caller must know that the loop is stable.
+            Default: the plant of the design.
 
         Returns
         -------
@@ -348,7 +348,7 @@ class ClosedLoop:
     >>> loop = ClosedLoop(P, outputs=["x"], units={"x": "mm"})
     >>> loop.inputs, loop.frequency_response([1.0, 10.0]).shape
     (['u[0]'], (2, 1, 1))
-    >>> # a drive whose position loop is closed, with an input for torque, at which is learned
+    >>> # a drive with a closed position loop and a second input, a torque, which v drives
     >>> names = {"inputs": ["position", "torque"], "outputs": ["x"]}
     >>> both = control.ss(0.8, [[0.2, 0.1]], 1, 0, 0.01, **names)
     >>> loop = ClosedLoop(both, references={"position": "x"}, learned=["torque"])
@@ -472,7 +472,7 @@ class ClosedLoop:
         return self.w(signals["reference"], signals["v"])
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """Compute the v with which the loop would have asked for `applied`, not for u.
+        """Compute the v with which the loop would have asked for `applied` instead of `u`.
 
         If an input that takes only a reference saturates, no v can express this saturation.
         """

@@ -47,12 +47,12 @@ def current_trial_loop(
         Names of the m inputs that are controls u; any others are disturbances d, which the
         controller does not know. Default: all inputs, if there are as many as outputs.
     sizes : dict, optional
-        What counts as large for an output or a control, in its unit, by name. A signal that is not
-        named has the size one. With `sizes`, the default weights and the loop do not depend on the
-        units or on the coordinates of the state. Without `sizes`, the default weights are the
-        paper's, in the units and coordinates of `plant`.
+        A value that counts as large for an output or a control, in the unit of this signal, by
+        name. A signal that is not named has the size one. With `sizes`, the default weights and the
+        loop do not depend on the units or on the coordinates of the state. Without `sizes`, the
+        default weights are the paper's, in the units and coordinates of `plant`.
     units : dict, optional
-        Units of inputs and outputs, by name, for those who read the results.
+        Units of inputs and outputs, by name. They only label the results.
     Qs, Rs : array_like, shapes (n, n), (m, m), optional
         Weights of states and controls in (24). Only their symmetric parts count. Default:
         C' S_y^-2 C and 0.05 S_u^-2, where S_y and S_u hold the sizes on their diagonals. The

@@ -1,24 +1,27 @@
 """Score tests of whether the records come from one linear plant that does not change.
 
 The model is y = X x + Z delta + e, with x ~ N(0, s^2 D) and e ~ N(0, s^2 W^-1). X and x are the
-regressors and the unknowns of the regression in :mod:`.arx.regression`. A hypothesis adds the
-columns Z with the coefficients delta. The regression supposes delta = 0. At the estimate x of the
-regression, the score q of delta and its information J need no further fit:
+regressors and the unknowns of the regression in :mod:`.arx.regression`. The noise has the variance
+s^2, x has the prior covariance s^2 D, and W holds the weights of the samples. A hypothesis adds the
+columns Z with the coefficients delta. The regression supposes that delta is zero. At the estimate x
+of the regression, the score q of delta and its information J need no further fit:
 
     q = Z' W (y - X x),    J = Z' W Z - Z' W X (X' W X + D^-1)^-1 X' W Z,                       (1)
     F = q' J^-1 q / (k s^2),                                                                    (2)
 
-and F of k columns has an F(k, n) distribution if delta = 0 and n is large (C. R. Rao, Proc.
-Cambridge Phil. Soc. 44 (1948) 50-57). The hypotheses are tested one after the other. Each one is a
-set of columns Z, filtered by A:
+If delta = 0 and the number n of samples is large, F has an F(k, n) distribution, where k is the
+number of columns of Z (C. R. Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50-57). The hypotheses are
+tested one after the other. Each hypothesis is a set of columns Z, filtered by A, which is the
+denominator of the estimated plant:
 
 - The simulated output of one trial, and its derivative, stand for another gain or another delay in
-  this trial. If there is a single trial, both are multiplied by the time.
-- The sign of the last move of each input, filtered by the plant, stands for backlash. Backlash
-  passes on u less half the gap times this sign.
-- Squares and cubes stand for a curve, a dead zone or a spring that is not linear. The squares and
-  cubes of the inputs and of the measured output are filtered by the plant. The squares and cubes
-  of the simulated output are used as they are.
+  this trial. If there is a single trial, these two columns are multiplied by the time. They then
+  stand for a gain or a delay that changes during the trial.
+- The sign of the last change of each input, filtered by the plant, stands for backlash. Backlash
+  transmits u minus half the gap times this sign.
+- Squares and cubes of signals stand for a curved characteristic, a dead zone or a nonlinear spring.
+  The squares and cubes of the inputs and of the measured output are filtered by the plant. The
+  squares and cubes of the simulated output are used as they are.
 
 All these hypotheses are about P, which is the response to the commanded inputs. In the first
 hypothesis, the simulated output is therefore the response to the commanded inputs alone. Backlash,
@@ -26,18 +29,20 @@ squares and cubes of inputs are also tested for commanded inputs alone, and not 
 known disturbances. Only the simulated output whose squares and cubes are tested includes the effect
 of known disturbances.
 
-Every test first subtracts what one further gain of each input explains, for two reasons. First, the
-prior makes gains too small. Second, if an input has only two levels, its squares and cubes act like
-another gain.
+Every test first subtracts what another gain of each input would explain, for two reasons. First,
+the prior makes the estimated gains too small. Second, if an input has only two levels, its squares
+and cubes act like another gain.
 
-*Feedback.* If the record has no reference, u may follow y. Then -1 / C is estimated, and no test of
-residuals can distinguish this loop from a plant -1 / C. But a plant with a lag and without a lead
-responds at once with only a part of its final response, and a sampled plant does not respond at
-once. A contradiction is therefore reported under two conditions. First, u(t) must explain y(t) by
-the F test (2). Second, the first coefficient of the impulse response must not be between 0 and 1.1
-times the sum of all coefficients. The factor is 0.5 instead of 1.1 if u(t) explains a million times
-the power of the residual. This is the case for a proportional controller, or for a plant without
-lags and almost without noise. The error of P is then unknown, and counts as all of P.
+*Feedback.* If the record has no reference, u may follow y, because a controller C computes u from
+y. Then -1 / C is estimated, and no test of residuals can distinguish this loop from a plant -1 / C.
+But a plant with a lag and without a lead responds within the same sample with only a part of its
+final response. A sampled plant does not respond at all within the same sample. A contradiction is
+therefore reported under two conditions. First, u(t) must explain a part of y(t) by the F test (2).
+Second, the first coefficient of the impulse response must not be between 0 and 1.1 times the sum of
+all coefficients. The factor is 0.5 instead of 1.1 if u(t) explains a million times the power of the
+residual. This is the case for a proportional controller, or for a plant without lags and almost
+without noise. If this contradiction is reported, the error of P is unknown, and is taken to be as
+large as P.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -69,7 +74,7 @@ FOLLOWS = (
 
 
 class Hypothesis(NamedTuple):
-    """A behaviour that no linear plant has, as columns of Z."""
+    """A behaviour that no linear plant has, expressed by columns of Z."""
 
     words: str
     columns: int
@@ -83,7 +88,7 @@ class Contradiction(NamedTuple):
     """A contradiction of the records with one linear plant."""
 
     words: str
-    by: float  # relative to P
+    by: float  # size of the contradiction, relative to P
 
 
 class Score(NamedTuple):
@@ -94,7 +99,7 @@ class Score(NamedTuple):
     power: np.ndarray  # Z' W Z
 
     def explained(self, columns: list[int]) -> float:
-        """Compute q' J^-1 q of some columns; columns that others explain add nothing."""
+        """Compute q' J^-1 q of some columns; columns that other columns explain add nothing."""
         unit, among = np.sqrt(self.power.diagonal()), np.ix_(columns, columns)
         z, J = (self.q / unit)[columns], (self.J / unit / unit[:, None])[among]
         return z @ np.linalg.pinv(J, EXPLAINED, True) @ z
@@ -109,7 +114,8 @@ def contradictions(
 ) -> Iterator[Contradiction]:
     """Find what contradicts one linear plant, in words, and by how much relative to P.
 
-    `reference` says whether the reference is in the record. If it is not, u may follow y.
+    `reference` says whether the reference is in the record. If the reference is missing, u may
+    follow y.
     """
     asked, n = hypotheses(groups), fit.data.n
     level = FALSE_ALARM / len(asked)
@@ -140,7 +146,7 @@ def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
 def score(
     fit: Regression, groups: Sequence[Trials], added: Callable[[Series], np.ndarray]
 ) -> Score:
-    """Compute (1) for a further gain of each input, and for the columns that `added` makes."""
+    """Compute (1) for another gain of each input, and for the columns that `added` makes."""
     at, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
     G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
     gains = np.zeros((p, len(layout.delays)))
@@ -158,11 +164,12 @@ def score(
 
 
 def columns_of(fit: Regression, groups: Sequence[Trials]) -> Callable[[Series], np.ndarray]:
-    """Return a function that makes Z of a series, transposed, (column, time).
+    """Return a function that computes the transpose of Z, (column, time), for a series of trials.
 
-    Z has the columns of each part, and then the columns of the other hypotheses. The columns of a
-    series are found by its key. A column of one trial only is made when needed, because 90 trials
-    have 180 such columns in each series.
+    A series is the mean of trials or a difference between them, see :mod:`.arx.trials`. Z has first
+    the columns of each trial, and then the columns of the other hypotheses. The columns of single
+    trials are made only when they are needed, because 90 trials have 180 such columns in each
+    series.
     """
     g = fit.impulse(longest_of(groups)).T
     made = [_of_group(fit, g, group) for group in groups]
@@ -199,9 +206,10 @@ def _of_group(fit, g, group):
 
 
 def _powers(of_P, u, y, measured):
-    """Make squares and cubes, for a curve or dead zone before the plant, behind it, or fed back.
+    """Make squares and cubes, for a nonlinearity before the plant, behind it, or in a feedback.
 
-    A spring feeds back what was measured one sample before, of which the noise is independent.
+    A nonlinear spring feeds back the output. Its columns use the output that was measured one
+    sample earlier, because the noise of the present sample is independent of that output.
     """
     earlier = np.pad(measured, [(0, 0), (1, 0), (0, 0)])[:, :-1]
     before = (_through(of_P, z**k) for z in (u, np.repeat(earlier, u.shape[2], 2)) for k in (2, 3))
@@ -214,7 +222,7 @@ def _through(g, z):
 
 
 def _last_move(u):
-    """Compute the sign of the last move, less an initial sign opposite to the first move."""
+    """Compute the sign of the last change, minus an initial sign opposite to the first change."""
     signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
     signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
     samples = np.arange(len(signs)).reshape(-1, 1, 1)
@@ -223,7 +231,7 @@ def _last_move(u):
 
 
 def _at_once(fit, level):
-    """Whether y responds to a commanded input within the same sample, as if P were -1 / C."""
+    """Whether y responds to a command within the same sample, as if P were -1 / C."""
     layout, n = fit.data.layout, fit.data.n
     for j, g in enumerate(fit.impulse(2 * layout.lags)[: fit.commanded]):  # slow parts answer later
         lags = np.zeros((layout.size, 1))

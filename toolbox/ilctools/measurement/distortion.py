@@ -1,10 +1,11 @@
 """Noise and distortion at the lines (the excited frequencies) of an excited record.
 
 Distortion is the part of the response that is not linear. The regression of a record,
-A(z) y = B(z) w + e, describes P between the lines, and transients. The regression treats its whole
+A(z) y = B(z) w + e, describes transients, and P between the lines. The regression treats its whole
 residual as noise, although part of the residual may be distortion. E_rp is the transform of its
-residual e over period p of realisation r, at the lines of the excitation. W_r is the transform of
-w. Both have the m experiments as columns. Then
+residual e over period p of realisation r of the random phases, at the lines of the excitation. W_r
+is the transform of w in this realisation. The columns of E_rp and W_r belong to the m experiments.
+Then
 
     D_rp = E_rp W_r^-1 / A,    G_rp = P + D_rp,                                                 (1)
 
@@ -14,18 +15,19 @@ of that module therefore give the noise and the error at the lines. Distortion h
     delta^2 = max(error^2 - noise^2, 0),  if the mean of error^2 / noise^2 over all lines       (2)
 
 is above the 99 % point of its F distribution. Otherwise the variance is set to zero. Distortion is
-the same in all periods of a realisation. With R realisations, at a line of an experiment, it adds
-to E an error of the variance
+the same in all periods of a realisation. With R realisations, distortion adds to E, at each line
+and in each experiment, an error of the variance
 
     v = R delta^2 ||W||^2 / m^2 |A|^2,                                                          (3)
 
-times the ratio of the quantiles of F and chi^2 at 1 - TAIL, because delta^2 is itself estimated.
-Let F be the transform of the regressors, summed over the N periods of p samples and divided by
-sqrt(N). The unknowns x of the regression then have the additional covariance
+which is multiplied by the ratio of the quantiles of F and chi^2 at 1 - TAIL, because delta^2 is
+itself an estimate. Let F be the transform of the regressors, summed over the N periods of p samples
+and divided by sqrt(N). The unknowns x of the regression then have the additional covariance
 
     M V M,    V = sum over experiments and lines of 2 N v / p^2 Re(F F^H),                      (4)
 
-with M = (X' X + D^-1)^-1. R. Pintelon and J. Schoukens, System Identification, 2012, section 4.3.1.
+with M = (X' X + D^-1)^-1, the regressors X and the prior variances D of x. Source: R. Pintelon and
+J. Schoukens, System Identification, 2012, section 4.3.1.
 """
 
 from dataclasses import replace
@@ -121,7 +123,7 @@ def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> Esti
             one = replace(group, y=group.y[..., [i]])
             fit = replace(fit, C=fit.C + added_covariance(fit, one, excitation, v))
         fits.append(fit)
-    # A contradiction that is too small to report is already part of the distortion at the lines.
+    # The distortion at the lines includes a contradiction that is too small to report.
     apart = estimate.apart if estimate.apart > SEEN else 0.0
     return replace(estimate, fits=tuple(fits), apart=apart, lines=lines, linear=linear)
 

@@ -1,8 +1,9 @@
-"""Estimate the frequency response from records in which the input moved, with a radius of error.
+"""Estimate a frequency response, with a radius of its error, from records with varying inputs.
 
-Each output has a regression of its own, see :mod:`ilctools.measurement.arx.regression`. A is the
-denominator of the output, and dA and dB are the errors of its posterior. To first order in these
-errors, and then without approximation,
+Each output has a regression of its own, see :mod:`ilctools.measurement.arx.regression`. The
+regression estimates a denominator A and numerators B_j, and P_j = B_j / A. The errors of these
+estimates are dA and dB_j, whose distribution is the posterior. To first order in these errors, and
+then without approximation,
 
     dP_j = (dB_j - P_j dA) / A,    P_j true - P_j = dP_j / (1 + dA / A).                        (1)
 
@@ -11,9 +12,10 @@ Frobenius norm has the mean tr S and the variance 2 tr S^2. The Frobenius norm i
 largest singular value. ||dP||^2 is taken to be gamma distributed (F. E. Satterthwaite, Biometrics
 Bulletin 2 (1946) 110-114). The errors of different outputs may be correlated in any way. Then tr S
 is the sum of the outputs' traces, and the root of tr S^2 is no more than the sum of the outputs'
-roots. Let x be the quantile of ||dP||^2 at 1 - p, in units of the gamma distribution's scale theta.
-The division by 1 + a makes the tail heavier. Here a = dA / A is complex and normal with variance
-sigma^2. For one circular and independent entry of dP
+roots. Let p be the probability that an error exceeds the radius. Let x be the quantile of ||dP||^2
+at 1 - p, in units of the gamma distribution's scale theta. The division by 1 + a in (1) makes the
+tail heavier. Here a = dA / A is complex and normal with variance sigma^2. For one circular and
+independent entry of dP
 
     P(|dP|^2 > theta t |1 + a|^2) = exp(-t / (1 + t sigma^2)) / (1 + t sigma^2) = exp(-x),      (2)
 
@@ -22,10 +24,10 @@ frequency by itself, c is `FACTOR`. For all frequencies at once, c is `JOINT`, a
 `INDEPENDENT`. With these numbers, the radius covers the true P in the benchmarks
 (docs/estimator.md).
 
-*Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero. Then A has as many
-zeros outside the circle as its estimate (Rouche). If there are any, the plant does not settle. The
-plant may or may not settle if, at a frequency, zero is within `UNSTABLE` standard deviations of
-Re(1 + a).
+*Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not encircle zero. Then the true A has
+as many zeros outside the circle as its estimate (Rouche). If there are such zeros, the plant is
+unstable: its output does not settle. If zero is within `UNSTABLE` standard deviations of Re(1 + a)
+at some frequency, the plant may or may not settle.
 """
 
 from bisect import bisect_left
@@ -59,7 +61,8 @@ STATED_FREQUENCIES = 200  # number of frequencies at which P is stated
 MODEL_NEAR = 0.1  # largest error of a model, relative to the largest P, if the radius is larger
 SEEN = 0.02  # relative to P: smaller contradictions widen the radius, but are not reported
 WORDS_AT_MOST = 5  # contradictions that a finding names, the largest first
-# A smaller value warns of fewer plants that do not settle. A larger one warns of more that do.
+# With a smaller value, fewer plants that do not settle give a warning. With a larger value, more
+# plants that settle give a warning.
 UNSTABLE = 0.77
 # P rises like the P of an integrator if it grows by more than RISE from twice the lowest resolved
 # frequency down to this frequency. An integrator grows by 2, and a first-order lag with a time
@@ -75,11 +78,11 @@ class Agreement(NamedTuple):
     Attributes
     ----------
     contradicts : bool
-        Whether the two estimates are further apart at a frequency than both are uncertain. For
-        records of one linear plant, the probability of this is 1 %.
+        Whether, at some frequency, the distance between the two estimates exceeds the root of the
+        sum of their squared radii. For records of one linear plant, the probability of this is 1 %.
     by : float
-        The distance relative to P, at the frequency where the distance is least likely. Zero if
-        the records agree.
+        The distance relative to P, at the frequency where the distance is largest relative to the
+        radii. Zero if the records agree.
     """
 
     contradicts: bool
@@ -124,10 +127,9 @@ class EstimatedResponse(Measured):
 
     @cached_property
     def resolved(self) -> np.ndarray:
-        """Mask of frequencies at which a design may begin, (n,).
+        """Mask of the frequencies at which a design may begin, (n,).
 
-        P must be identified there, and a period must fit into a record.
-
+        P must be identified there, and one period of the frequency must fit into a record.
 
         A record of T seconds distinguishes frequencies that are 2 pi / T apart, like the
         frequencies of its discrete Fourier transform. Below 2 pi / T the record cannot distinguish
@@ -166,7 +168,7 @@ class EstimatedResponse(Measured):
                 )
 
     def _rises(self):
-        """Whether P to each output rises like an integrator, and is uncertain at rest."""
+        """Whether P to each output rises like an integrator, and is uncertain at low frequency."""
         one, two = np.linalg.norm(self._at(self._lowest * np.array([1.0, 2.0])), axis=2)
         at_rest = largest_singular_values(self.response[:1]) < SURE_OF_REST * self.radius()[0]
         return at_rest & (one > RISE * two)
@@ -205,15 +207,15 @@ class EstimatedResponse(Measured):
         return replace(self, units=self.units * of_P)
 
     def model(self) -> control.StateSpace:
-        """Compute a model near P, of the lowest order that is sufficient.
+        """Compute a state-space model near P, of the lowest order that is sufficient.
 
         A model is near P if its error is within the joint 99 % radius. At frequencies of which a
         period fits into a record, the error must also be within a tenth of the largest P. The model
         is therefore near the estimate even if the record contains little information.
 
         The model is balanced, by the Hankel matrix of the impulse response (S. Kung, 12th Asilomar
-        Conference (1978) 705-714). A delay also takes states. If no order is enough, a LogError is
-        raised.
+        Conference (1978) 705-714). A delay of P adds states to the model. If no order is
+        sufficient, a LogError is raised.
         """
         radius, (inputs, outputs) = self.radius(CONFIDENCE, jointly=True), self.names
         fits = self.omega >= self._lowest  # below, a record cannot show what P is

@@ -13,23 +13,24 @@ from ilctools.law.notes import read_note, with_loop
 from ilctools.loop.closed import Loop
 from ilctools.signals import Signals, check_match
 
-CLIPPING_ROUNDS = 300  # rounds of the search for low peaks; three times as many lower peaks by 3 %
-# Defaults: with more realisations the quantiles of the radius hardly fall.
+CLIPPING_ROUNDS = 300  # in the search for low peaks; with three times as many, peaks are 3 % lower
+# Defaults. With more than ten realisations, the quantiles of the radius hardly fall.
 FEWEST_REALISATIONS, MOST_REALISATIONS = 2, 10
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """A periodic excitation: as many experiments as inputs, for each realisation of the phases.
+    """A periodic excitation, with one experiment per input for each realisation of the phases.
 
     All inputs are excited in each experiment. In experiment e, input i is amplitude_i / peak times
     the sum over all harmonics h of cos(2 pi h t / period + phase_ih + 2 pi e i / m). At every line
     (excited frequency) the m experiments are therefore orthogonal. With the same peaks and in the
-    same time, the variance of the estimate is 1 / m of the variance with one input at a time. The
-    source is Dobrowiecki, Schoukens and Guillaume, Optimized excitation signals for MIMO frequency
-    response function measurements, IEEE Trans. Instrum. Meas. 55, 2006. Each realisation has its
-    own phases. Differences between the realisations show what is not linear. The first period of
-    each experiment is left out, because most of the transient decays in this period.
+    same time, the variance of the estimate is 1 / m of the variance that results if one input is
+    excited at a time. The source is Dobrowiecki, Schoukens and Guillaume, Optimized excitation
+    signals for MIMO frequency response function measurements, IEEE Trans. Instrum. Meas. 55, 2006.
+    Each realisation has its own random phases. Differences between the realisations show the
+    nonlinear part of the response. The first period of each experiment is left out, because most of
+    the transient decays in this period.
     """
 
     Ts: float  # s
@@ -101,19 +102,20 @@ def multisine(
     loop : CurrentTrialLoop or ClosedLoop
         The loop that will be excited. Only its sampling period and its channels matter.
     lowest, highest : float
-        Lowest and highest excited frequency, rad/s. The lowest one sets the period. The excitation
-        does not show P below the lowest and above the highest frequency.
+        Lowest and highest excited frequency, rad/s. The lowest frequency determines the period. The
+        excitation gives no information on P below the lowest or above the highest frequency.
     amplitude : float or array_like, shape (m,)
         Largest |w| of each learned input, in the unit of the input.
     hours : float
-        Time for all experiments, in hours. If the time is too short, the error says how much is
-        needed.
+        Time for all experiments, in hours. If the time is too short, the error says how much time
+        is needed.
     lines : int
         Number of excited frequencies, or lines, evenly spaced on a logarithmic scale. There are
         fewer lines if some would fall on the same harmonic.
     realisations : int, optional
-        Number of realisations of random phases. Their scatter shows what is not linear. Default: as
-        many as fit into the time with two evaluated periods each, but at most 10.
+        Number of realisations of random phases. The differences between the responses to them show
+        the nonlinear part of the loop. Default: as many as fit into the time with two evaluated
+        periods each, but at most 10.
     seed : int
         Seed of the random phases.
 
@@ -157,7 +159,7 @@ def _amplitudes(amplitude, loop):
 
 
 def _harmonics(period, highest, lines):
-    """Return harmonics, evenly on a logarithmic scale, up to `highest`, in rad per sample."""
+    """Return harmonics up to `highest` (rad per sample), evenly spaced on a logarithmic scale."""
     below_nyquist = (period - 1) // 2
     last = min(int(highest * period / (2 * np.pi)), below_nyquist)
     return np.unique(np.round(np.geomspace(1, last, lines)).astype(int)).tolist()

@@ -8,26 +8,28 @@ experiment). There are m experiments, and R realisations of N periods. Then
     noise^2 = sum_rp ||G_rp - G_r||^2 / (R^2 N (N - 1)),                                        (2)
     error^2 = sum_r ||G_r - P||^2 / (R (R - 1))                                                 (3)
 
-in Frobenius norms. Periods differ by noise alone. Realisations also differ by the response of a
-nonlinear loop to other phases (R. Pintelon and J. Schoukens, System Identification, 2012, section
-4.3.1). P is the best linear approximation, which does not depend on the phases.
+All norms are Frobenius norms. Periods differ by noise alone. Realisations also differ because a
+nonlinear loop responds differently to other phases (R. Pintelon and J. Schoukens, System
+Identification, 2012, section 4.3.1). P is the best linear approximation, which does not depend on
+the phases.
 
 *Known disturbances* of the log are not used. Their effect counts as noise if it differs between
-periods. The effect counts as not linear if it differs between realisations only. Both are in the
-radius. The regression (``of="w"``) takes known disturbances as inputs.
+periods. The effect counts as not linear if it differs between realisations only. The radius
+contains the noise and the nonlinear part. The regression of :mod:`.estimation` (``of="w"``) takes
+known disturbances as inputs.
 
-*Variance.* The estimates (2) and (3) scatter like gamma distributions. Their logarithms are
-smoothed over the logarithm of the frequency, by straight lines through the nearest excited
-frequencies. (2) is smoothed as it is. (3) is smoothed relative to (2) and a share of P, and may
-therefore have the same resonances. If the variance at a line is so large that noise would cause it
-at one line of 10,000 only, a disturbance such as a hum acts at this line. The line then keeps its
-own variance.
+*Variance.* The estimates (2) and (3) scatter like numbers with a gamma distribution. Their
+logarithms are smoothed over the logarithm of the frequency, by straight lines through the nearest
+excited frequencies. (2) is smoothed directly. (3) is divided by the sum of (2) and a share of
+||P||^2 before it is smoothed. The smoothed (3) may therefore have the same resonances as P. If
+noise would cause the variance at a line in only one of 10,000 cases, a disturbance such as mains
+hum is taken to act at this line. The line then keeps its own variance.
 
-*Radius.* Let d be the number of independent entries of P with errors. In the Frobenius norm,
-||Delta||^2 / error^2 has an F distribution with 2 d and 2 f degrees of freedom. The Frobenius norm
-is no less than the largest singular value. The trace of the covariance of the entries, and the
-trace of its square, determine d (F. E. Satterthwaite, Biometrics Bulletin 2 (1946) 110-114). The
-smoothed variance determines f.
+*Radius.* Let Delta be the error of P, and let d be the number of independent entries of Delta. In
+the Frobenius norm, ||Delta||^2 / error^2 has an F distribution with 2 d and 2 f degrees of freedom.
+The Frobenius norm is no less than the largest singular value. The trace of the covariance of the
+entries, and the trace of its square, determine d (F. E. Satterthwaite, Biometrics Bulletin 2 (1946)
+110-114). The scatter of the smoothed variance determines f.
 """
 
 from dataclasses import dataclass, replace
@@ -44,8 +46,8 @@ from ilctools.response.samples import Assumed, Samples
 
 # NEIGHBOURING_LINES, divided by the number of realisations after the first one, is the number of
 # neighbouring lines with which the variance at a line is smoothed. With fewer lines radii are
-# larger. With more lines, variances are not straight over the frequency, and distortion is alike at
-# neighbouring lines.
+# larger. With more lines, the variance is not a straight line over the frequency, and distortion is
+# similar at neighbouring lines.
 MOSTLY = 3.0  # ratio of distortion to noise above which another amplitude is advised
 NEIGHBOURING_LINES = 8
 
@@ -97,7 +99,7 @@ class ExcitedResponse(Measured):
 
     @cached_property
     def _error(self):
-        """The square of `error`, and d and f, the degrees of freedom of the radius."""
+        """The square of `error`, and d and f; the radius has 2 d and 2 f degrees of freedom."""
         off, R, noise = self.realisations - self.response, len(self.periods), self.noise**2
         both, size = self._variance(off, R * (R - 1)), _squares(self.response)  # (3)
         shape = noise + max(np.sum(both - noise), 0) / size.sum() * size
@@ -202,7 +204,7 @@ def _squares(off):
 
 
 def _directions(off, near, freedom):
-    """Count independent entries of errors (..., n, m, m); a real entry counts as 1/2."""
+    """Count independent entries of errors (..., n, m, m); a real number counts as 1/2."""
     parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off.shape[-1] ** 2)
     C = np.tensordot(near, np.einsum("rki,rkj->kij", parts, parts), 1)
     square, squares = np.trace(C, axis1=1, axis2=2) ** 2, np.linalg.norm(C, axis=(1, 2)) ** 2

@@ -33,40 +33,44 @@ def measured_response(
     Parameters
     ----------
     log : xarray.Dataset, list of them, or control.FrequencyResponseData
-        A record in which the inputs moved, or several records of one plant, of any lengths. It may
-        come from :func:`shake`, from :func:`record` (trials under learning), or from
-        :func:`load_log` or :func:`read_table` (a step test, a reference that moves). Or a table of
-        a frequency response. Splines interpolate between the frequencies of the table.
+        A record in which the inputs vary, or a list of records of one plant, of any lengths. A
+        record may come from :func:`shake`, from :func:`record` (trials under learning), or from
+        :func:`load_log` or :func:`read_table` (a step test, or a reference that varies). A table of
+        a frequency response may be passed instead. Splines interpolate between the frequencies of
+        the table.
     of : {"w", "u"}, optional
-        The input: w = reference + v of a closed loop, or the commands u. Default: w, if all records
-        have a reference. If `of` or `delay` is passed, a record of :func:`shake` is estimated like
-        any other record.
+        The input: w = reference + v of a closed loop, or the commands u. Default: w if all records
+        have a reference, otherwise u. If `of` or `delay` is passed, a record of :func:`shake` is
+        estimated like any other record.
     uncertainty : array_like, shape (n,), or float, optional
-        For a table only: the radius at its frequencies, or one number relative to sigma_max(P).
-        Default: the table counts as exact, although it may contain noise.
+        For a table only: the radius of the error at the table's frequencies, or one number relative
+        to sigma_max(P). Default: the table counts as exact, although it may contain noise.
     delay : int or array_like, shape (inputs,), optional
-        Least delay of each input in samples: y does not respond to an input earlier. Larger delays
-        are searched for. Default: 0.
+        Least delay of each input in samples, before which y does not respond to the input. The
+        function searches for larger delays. Default: 0.
 
     Returns
     -------
     ExcitedResponse, EstimatedResponse or TabulatedResponse
-        The response with its radius, for :func:`synthesise`. An estimate has ``check(log)``
-        (against another record), ``model()``, ``frd()`` and ``plot()``.
+        The response with its radius, for :func:`synthesise`. An estimate has the methods
+        ``check(log)``, which compares it with another record, ``model()``, ``frd()`` and
+        ``plot()``.
 
     Raises
     ------
     LogError
         If a record of :func:`shake` lacks an experiment, or its w is not the excitation. If an
-        input or an output never moves, or moves by less than 1e-30 or more than 1e30. If a trial
-        has fewer than 20 samples, or an output does not settle. If P is identified at no frequency.
+        input or an output never changes, or changes by less than 1e-30 or more than 1e30. If a
+        trial has fewer than 20 samples, or an output does not settle. If P is identified at no
+        frequency.
 
     Warns
     -----
     UserWarning
-        If commands of an excited rig exceed its limits. If trials, or the course of one trial,
-        contradict one linear plant. If an output may not settle. If no linear model describes a
-        record of :func:`shake`, so that P is taken at the lines of the excitation alone.
+        If commands of an excited rig exceed its limits. If different trials, or different parts of
+        one trial, contradict one linear plant. If an output may not settle. If no linear model
+        describes a record of :func:`shake`, so that P is taken at the lines of the excitation
+        alone.
 
     See Also
     --------
@@ -81,10 +85,11 @@ def measured_response(
     in each trial, a drift, and a disturbance that repeats. Delays are searched for. A record
     without noise is accepted; rounding then counts as noise.
 
-    *Radius.* "99 %" is a probability under a prior: coefficients of the model decay and are smooth.
-    The radius was scaled on simulated records of many kinds, see docs/estimator.md. A plant that
-    the prior holds to be unlikely may lie outside the radius more often. Examples are a weak mode
-    below the noise, and trials that have converged: record the first trials.
+    *Radius.* The confidence, such as 99 %, is a probability under a prior. By this prior, the
+    coefficients of the model decay and are smooth. The radius was scaled on simulated records of
+    many kinds, see docs/estimator.md. A plant that the prior holds to be unlikely may lie outside
+    the radius more often. One example is a plant with a weak mode below the noise. Another example
+    is a record of trials that have converged. Therefore record the first trials.
 
     *Known disturbances.* A log may contain measured inputs that no loop commands, such as the
     ambient temperature (`disturbances` of :func:`read_table`). Each one is a further input of the
@@ -92,27 +97,30 @@ def measured_response(
     offsets of disturbances do not matter. If one of several logs lacks a disturbance, the
     disturbance counts as constant there.
 
-    *Low frequencies.* A record of T seconds resolves frequencies from 2 pi / T on. Below, it cannot
-    distinguish a slow motion from a drift. The estimate has a response and a radius there, but
-    :func:`synthesise` chooses cut-off and filter from 2 pi / T on.
+    *Low frequencies.* A record of T seconds resolves frequencies from 2 pi / T on, in rad/s. Below
+    this frequency, the record cannot distinguish a slow motion from a drift. The estimate has a
+    response and a radius there, too, but :func:`synthesise` chooses the cut-off and the filter from
+    the frequencies above.
 
-    *Trials.* Before a trial, w rests at the reference's first row, and v is zero. Trials without a
-    reset are joined. If the log names its loop and its limits, w is reconstructed from the applied
-    commands. For other logs, leave out trials with saturated commands. If the first log has a
-    reference, y(t) is assumed to depend on earlier commands u only. Otherwise y(t) may also depend
-    on u(t).
+    *Trials.* Before a trial, w is taken to rest at the first row of the reference, and v is taken
+    as zero. Trials without a reset are joined to one record. If the log names its loop and its
+    limits, w is reconstructed from the applied commands. For other logs, leave out trials with
+    saturated commands. If the input is u and the first log has a reference, y(t) is assumed to
+    depend on earlier commands u only. Otherwise y(t) may also depend on the input at the same time
+    t.
 
     *Excited rigs.* A record of :func:`shake` is estimated in two ways. The first way is the
-    regression, which describes P also between the lines (the excited frequencies), and transients,
-    delays and resonances. The second way uses the lines alone
-    (:mod:`ilctools.measurement.excited`). Without a model, the lines show how much noise and how
+    regression, which also describes P between the lines (the excited frequencies), and describes
+    transients, delays and resonances. The second way uses the lines alone
+    (:mod:`ilctools.measurement.excited`). The lines show, without a model, how much noise and how
     much nonlinearity there is. The nonlinearity widens the radius of the regression
     (:mod:`ilctools.measurement.distortion`). P is then the best linear approximation for signals of
-    the size of the excitation; smaller signals may see another gain. P is taken at the lines alone
-    if their radius is smaller, as for a slow plant with little repeating noise. P is also taken at
-    the lines alone, with a warning, if the regression does not settle or contradicts the lines. The
-    attribute ``lines`` has P at the lines, ``noise`` and ``distortion``. At the lines alone, known
-    disturbances count as noise or as nonlinearity.
+    the size of the excitation; for smaller signals, the gain may be different. If the lines have
+    the smaller radius, P is taken at the lines alone. This may happen if the plant is slow and
+    little of the noise repeats. P is also taken at the lines alone, with a warning, if the
+    regression does not settle or contradicts the lines. The attribute ``lines`` of the result is
+    the response at the lines, with the attributes ``noise`` and ``distortion``. If P is taken at
+    the lines alone, known disturbances count as noise or as nonlinearity.
 
     Examples
     --------

@@ -1,9 +1,9 @@
 """Records of one plant, checked once, from which a response is estimated.
 
-A log may hold other inputs of the plant in its `disturbance`. Such inputs were measured, but no
-loop commands them. If a disturbance moves, the disturbance is an input of the estimate like the
-commanded inputs. If a log lacks a disturbance that another log has, the disturbance counts as at
-rest there, and its effect counts as noise.
+A log may hold further inputs of the plant as its signal `disturbance`. These inputs were measured,
+but no loop commands them. If a disturbance varies, the estimate treats the disturbance as an input,
+like the commanded inputs. If a log lacks a disturbance that another log has, the disturbance counts
+as constant in this log, and its effect counts as noise.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from ilctools.measurement.arx.trials import Trials, longest_of
 from ilctools.signals import Signals, check_match, period_of
 
 FEWEST_SAMPLES = 20  # smallest number of samples of a trial
-# A disturbance that moves less than this, relative to its size, is constant except for rounding.
+# A disturbance that varies less than this, relative to its size, is constant except for rounding.
 ROUNDING_OF_DISTURBANCE = 1e-12
 # The radius is computed from the fourth power of P. If signals move by 1e30 and 1e-30, this power
 # is at most 1e240, which a double still holds. No quantity of a rig has such a size in SI units.
@@ -30,7 +30,7 @@ LARGEST_MOVES, SMALLEST_MOVES = 1e30, 1e-30
 
 
 class Sizes(NamedTuple):
-    """RMS values of the moves of each signal."""
+    """RMS value of each signal in all trials, after its mean in each trial is subtracted."""
 
     inputs: np.ndarray  # (m,)
     outputs: np.ndarray  # (p,)
@@ -38,7 +38,7 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """Inputs and outputs of logs, as moves from before each trial, in units of `sizes`."""
+    """Inputs and outputs of logs, relative to values before each trial, in units of `sizes`."""
 
     groups: tuple[Trials, ...]  # one group of trials for each length
     inputs: list[str]
@@ -47,13 +47,13 @@ class Record:
     direct: bool  # whether y(t) may depend on the inputs at t, or at t - delay
     source: str  # the inputs: "w" or "u"
     loop: Loop  # the loop of the record; a ClosedLoop without P, if the logs name none
-    disturbances: tuple[str, ...] = ()  # known disturbances that move: further inputs
+    disturbances: tuple[str, ...] = ()  # known disturbances that vary: further inputs
 
     @classmethod
     def of(
         cls, logs: xr.Dataset | Sequence[xr.Dataset], source: str | None = None, delay=None
     ) -> "Record":
-        """Make a record from one log or several, and check them.
+        """Make a record from one log or several logs, which are checked.
 
         `source` and `delay` have the meaning of `of` and `delay` in
         :func:`ilctools.measured_response`.
@@ -101,7 +101,7 @@ class Record:
 
 
 class _Moves(NamedTuple):
-    """The signals of a log, as moves from their values before each trial."""
+    """The signals of a log, relative to their values before each trial."""
 
     u: np.ndarray  # (trial, time, channel)
     y: np.ndarray  # (trial, time, channel)
@@ -135,9 +135,10 @@ def _source_of(logs, asked):
 
 
 def _known_disturbances(moves):
-    """Return the names of the disturbances that move in any log, and their moves in each log.
+    """Return the names of the disturbances that vary in any log, and their changes in each log.
 
-    The moves are in units of their RMS, (trial, time, disturbance).
+    The changes are relative to the first sample of a trial, in units of their RMS. Their shape is
+    (trial, time, disturbance).
     """
     names = {name: 0 for one in moves for name, signal in one.disturbance.items() if signal.any()}
     if not names:
@@ -159,7 +160,7 @@ def _loop_of(log, source):
 
 
 def _moves(name, log, source):
-    """Return inputs, outputs and known disturbances, as moves from before each trial."""
+    """Return inputs, outputs and known disturbances, relative to their values before each trial."""
     u, before, others = _inputs(name, log, source)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", log.y.values, (*u.shape[:2], "channel"))
@@ -209,7 +210,7 @@ def _inputs(name, log, source):
 
 
 def _without_rounding(signal):
-    """Return the moves (trial, time) from each trial's first sample; set mere rounding to zero."""
+    """Subtract from a signal (trial, time) each trial's first sample; set mere rounding to zero."""
     moves = signal - signal[:, :1]
     return moves * (np.abs(moves).max() > ROUNDING_OF_DISTURBANCE * np.abs(signal).max())
 
@@ -239,9 +240,9 @@ def _samples_of(delay, m):
 
 
 def check_moved(signals, names, what, remedy):
-    """Refuse signals of which a channel never moves; they are (trial, time, channel) per record.
+    """Refuse signals with a channel that never changes; shape (trial, time, channel) per record.
 
-    A unit in which the moves are too large or too small for floating-point numbers is also refused.
+    Signals whose changes are too large or too small for floating-point numbers are also refused.
     """
     with np.errstate(over="ignore"):
         each = [np.abs(x - x[:, :1]).max(axis=(0, 1)) for x in signals]

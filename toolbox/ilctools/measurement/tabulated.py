@@ -22,7 +22,7 @@ class TabulatedResponse(Measured):
     estimated = False  # the author of the table determines its unit
     omega: np.ndarray  # rad/s, shape (n,)
     response: np.ndarray  # shape (n, p, m), complex
-    uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
+    uncertainty: np.ndarray  # (n,): the radius at each frequency, for any confidence
     loop: ClosedLoop | None  # names and sampling period, if the table states a period
 
     def _radius(self, confidence, jointly):

@@ -1,11 +1,12 @@
 """Test trials: does the error grow, does the plant differ from the model, is an output dead?
 
-Let P be the response of the loop, and e_free the error without learning. If the ends of a trial
-are neglected, trial k obeys
+Let P be the response of the loop, v_k and e_k the ILC signal and the error of trial k, and e_free
+the error without learning. Q and L are the filters of the law. If the ends of a trial are
+neglected, trial k obeys
 
     e_{k+1} = M e_k + (1 - Q) e_free,    M = Q (I - P L).                                      (1)
 
-Therefore, each band of frequencies obeys
+Therefore, the errors in each band of frequencies obey
 ||e_{k+1}|| <= sigma_max(M) ||e_k|| + ||(1 - Q) e_free||. For a trial with its ends, and with the
 recorded v, the model predicts the error
 
@@ -13,14 +14,15 @@ recorded v, the model predicts the error
 
 The plant is said to differ from the model if errors exceed both (1) and (2) by more than noise
 explains. The error is said to grow if its RMS rises by more than noise explains. The size of the
-noise is estimated from the trials themselves. Noise is whatever does not repeat and v does not
-explain; any spectrum is allowed.
+noise is estimated from the trials themselves. Noise is the part of the error that does not repeat
+and that v does not explain. The noise may have any spectrum.
 
 P is taken from the design, with its radius, or else from the loop. If the loop has no P, nothing is
-known about the error of the P in the law. Then (2) is taken for all plants (I + Delta) P with a
+known about the error of the P in the law. Then (2) is evaluated for all plants (I + Delta) P with a
 relative error ||Delta|| of at most PLANT_ERROR. These plants change the prediction by at most
-PLANT_ERROR times P (v_{k+1} - v_k). A plant that is wrong by a quarter learns more slowly and gives
-no warning. A signal in another unit, whose Delta is near -I, gives a warning.
+PLANT_ERROR times P (v_{k+1} - v_k). If the plant differs from P by a quarter, the error falls more
+slowly, but there is no warning. If a signal is in another unit, Delta is near -I, and there is a
+warning.
 
 An output is dead if it does not move in a trial in which P predicts a movement.
 """
@@ -73,9 +75,9 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
         If the design of the law was for more than a single exact model, the trials are compared
-        with the plants of the design. A warning requires that trials contradict each plant. Else
-        the trials are compared with the P of the loop, the model of the design, or the model in L.
-        See :func:`known_plants`.
+        with the plants of the design. A warning requires that the trials contradict every plant of
+        the design. Otherwise the trials are compared with the P of the loop, the model of the
+        design, or the model in L. See :func:`known_plants`.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -106,7 +108,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
 
 
 def _first_finding(test, trials, first):
-    """Return the first finding of a test in successive trials, by groups of one unit."""
+    """Return a test's first finding in successive trials; test outputs of one unit together."""
     groups = by_unit(trials.output_unit.values.tolist()).values()
     for channels in groups:
         alike = trials.isel(channel=channels)
@@ -118,7 +120,7 @@ def _first_finding(test, trials, first):
 
 
 def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
-    """Add to trials the signals that the law removes from v, (1 - Q) v, and adds, Q L e."""
+    """Add to trials the signal (1 - Q) v that the law removes from v, and Q L e, which it adds."""
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
     axes = trials.v.dims
@@ -129,8 +131,8 @@ def error_grows(trials: xr.Dataset) -> dict:
     """Test whether the error grows from trial to trial, by more than noise explains.
 
     The null hypothesis is that errors of trials with one reference are noise of one variance. The
-    test is made if the error rose several times in succession up to the last trial. It is also made
-    if the error rose to a multiple at once.
+    test is made if the error rose several times in succession up to the last trial. The test is
+    also made if the error rose at once to a multiple of its largest earlier value.
     """
     largest = np.abs(trials.reference.values).max()
     trials = trials.isel(trial=slice(first_judged(trials), None))
@@ -175,11 +177,11 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 
 
 def known_plants(law: Law) -> list[Callable]:
-    """Return P and its radius over omega, for each plant that the trials are compared with.
+    """Return, for each plant to compare the trials with, a function of omega for P and its radius.
 
-    The plants of the design are taken, unless they are a single exact model. Otherwise the first of
-    these that is known is taken: the P of the loop, the model of the design, the model in L. The
-    model in L is for a law that was read from a file.
+    The plants of the design are taken, unless they are a single exact model. Otherwise the P of the
+    loop is taken. If the P of the loop is not known, the model of the design is taken. If neither
+    is known, as for a law that was read from a file, the model in L is taken.
     """
     region, model = _region(law), getattr(law.loop, "P_v", None)
     if region is None and model is None:
@@ -194,7 +196,7 @@ def known_plants(law: Law) -> list[Callable]:
 
 
 def _region(law):
-    """Return the plants of a law's design; a file has them only with limits of outputs."""
+    """Return the plants of a law's design; a law from a file has them if it limits outputs."""
     return law.region or (law.output_limits and law.output_limits.region)
 
 
@@ -217,7 +219,7 @@ def model_in(L) -> control.StateSpace | None:
 
 
 def plant_error(law: Law) -> float:
-    """Return the relative error of P that is allowed; zero if the loop has a P or P a radius."""
+    """Return the allowed relative error of P; zero if the loop has a P, or if P has a radius."""
     model, radius = getattr(law.loop, "P_v", None), getattr(_region(law), "radius", None)
     return PLANT_ERROR if model is None and radius is None else 0.0
 
@@ -256,9 +258,9 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
 def dead_outputs(trials: xr.Dataset) -> dict:
     """Find outputs that do not move in the last trial, although P predicts a movement.
 
-    A movement is the highest value less the lowest one. The predicted movement counts if it is more
-    than the fraction STILL of the reference's movement. A coarse sensor is therefore not taken for
-    dead if a small movement stays within its resolution.
+    A movement is the highest value minus the lowest value. The predicted movement counts if it is
+    more than the fraction STILL of the reference's movement. If a small movement stays within the
+    resolution of a sensor, the sensor is therefore not called dead.
     """
     last = trials.isel(trial=-1)
     y, wanted, moves = (np.ptp(last[name].values, axis=0) for name in ("y", "reference", "moves"))
@@ -341,9 +343,9 @@ def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
 def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit changes between trials by a gain and a phase for each octave and output.
 
-    Signals have the shape (trial, time, channel). Returns the real parts of the fitted gains, shape
-    (octave, channel). Returns also the mean square of the remainder in a trial, by octaves, and the
-    degrees of freedom of the remainder.
+    Signals have the shape (trial, time, channel). The function returns the real parts of the fitted
+    gains, shape (octave, channel). The other results are the mean square of the remainder in a
+    trial, by octaves, and the degrees of freedom of the remainder.
     """
     first, Y, X = octaves(changes.shape[1]), harmonics(changes), harmonics(expected)
     XY, XX = (np.add.reduceat(np.sum(X.conj() * Z, axis=0), first) for Z in (Y, X))

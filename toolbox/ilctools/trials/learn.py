@@ -33,7 +33,7 @@ class Asked(NamedTuple):
 def asked_of(
     law: Law, reference, trials: int, v, reset: bool, pilot: float | None, between: str
 ) -> Asked:
-    """Check all arguments of an experiment; the law must be bound to its loop."""
+    """Check the arguments of an experiment, and return its task; the law must know its loop."""
     loop, trials = law.loop, arguments.whole("trials", trials, 1)
     reference, asked = filled(reference)
     like = "time", loop.outputs, loop.Ts
@@ -143,8 +143,9 @@ def next_v(
 ) -> np.ndarray:
     """Compute the next v by (23) of the paper, from the parts so far.
 
-    Without reset, v is returned for as many samples as the parts determine. If the reference
-    changes and `between` is "transfer", :func:`.transfer` computes v from all parts instead.
+    A part is a trial, or without reset a part of a trial. Without reset, v is returned for as many
+    samples as the parts determine. If the reference changes and `between` is "transfer",
+    :func:`.transfer` computes v from all parts instead.
     """
     if not parts:
         return first
@@ -182,7 +183,7 @@ def next_step(
 
 
 def _pilot(law, first):
-    """Return the part of the first v that reduces the reference to a share; else zero."""
+    """Return the part of the first v that scales the reference down; zero if there is none."""
     v, rise = first["v"], first["reference"] - first["reference"][0]
     if law.output_limits is None or v.shape != rise.shape or not rise.any():
         return np.zeros_like(v)
@@ -200,7 +201,7 @@ def _effect(law, v):
 
 
 def applied_v(law: Law, signals: Part) -> np.ndarray:
-    """Return v (time, m) as far as it was applied."""
+    """Return the part of v that was applied, shape (time, m)."""
     u = law.loop and law.loop.asked(signals)
     v, _ = law.applied(signals["v"], u, signals.get("applied"))
     return v

@@ -23,8 +23,8 @@ def from_rest_to_rest(trials: xr.Dataset) -> list[Part]:
 def successions(trials: xr.Dataset) -> np.ndarray:
     """Return, for each trial, the index of the trial with which its reference began.
 
-    Without reset, the first trial counts as a succession of its own, because only the first trial
-    starts from rest.
+    Trials with one reference are a succession. Without reset, the first trial is a succession by
+    itself, because only the first trial starts from rest.
     """
     changes = np.any(np.diff(trials.reference.values, axis=0), axis=(1, 2))
     changes[:1] |= RESET in trials.attrs

@@ -13,10 +13,11 @@ from ilctools.norm_optimal import NormOptimal
 def filled(reference):
     """Replace NaN in a reference, shape (..., time, p), and mark where it had numbers.
 
-    Between points, the reference runs along straight lines, and is constant after the last point. A
-    loop whose v is added to the reference is driven by these numbers. Labels are kept. Returns the
-    reference with numbers everywhere, and a mark, which is one where a number was given and zero
-    elsewhere. A reference without NaN is returned unchanged, with None as mark.
+    Points are the samples with numbers. Between points, the reference follows straight lines, and
+    is constant after the last point. A loop whose v is added to the reference is driven by these
+    numbers. Labels are kept. The function returns the reference with numbers everywhere, and a
+    mark. The mark is one where a number was given, and zero elsewhere. A reference without NaN is
+    returned unchanged, with None as mark.
     """
     values = np.array(reference, dtype=float) if _may_hold_numbers(reference) else np.zeros(0)
     absent = np.isnan(values)

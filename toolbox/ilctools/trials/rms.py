@@ -18,8 +18,8 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     Parameters
     ----------
     e : xarray.DataArray or xarray.Dataset
-        The error, with the dimensions time and channel, or time and input. Or a dataset of trials,
-        or a log, with reference and y; the error is then reference - y.
+        The error, with the dimensions time and channel, or time and input. A dataset of trials,
+        such as a log, may be passed instead. The error is then its reference - y.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     Raises
     ------
     ValueError
-        If `e` is anything else, or has a gap.
+        If `e` is anything else, or contains a value that is not finite.
 
     See Also
     --------

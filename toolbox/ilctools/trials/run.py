@@ -1,8 +1,9 @@
 """Simulate trials of the loop (19) under the ILC law, Section IV of the paper.
 
 Equation numbers are those of the paper. :func:`.learn` has the equations (22) and (23). Let x be
-the states of the plant and of the observer, whose estimates are x-hat and delta. Let n be the noise
-of the sensors. A trial obeys
+the states of the plant and of the observer, whose estimates are x-hat and delta. Let w be the
+inputs of the loop, d the disturbances, and n the noise of the sensors. With the matrices A to F and
+K of the loop, a trial obeys
 
     x(p+1) = A x(p) + B w(p) + E d(p) + K n(p),    y(p) = C x(p) + D w(p) + F d(p) + n(p)    (19)
     u(p) = N w(p) - K_s x-hat(p) - delta(p)                                                  (18)
@@ -65,8 +66,9 @@ def run_trials(
         :class:`ilctools.NormOptimal`, and the first sample must be a number. If v is added to the
         reference, straight lines connect the points.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
-        In the order of ``loop.disturbances``. Default zero.
+        Disturbances of the plant, in the order of ``loop.disturbances``. Default: zero.
     trials : int
+        Number of trials.
     plant : control.StateSpace or control.TransferFunction, optional
         The plant that is simulated, as in :meth:`CurrentTrialLoop.around`, or another P for a
         ClosedLoop. Default: the plant of the design.
@@ -75,21 +77,23 @@ def run_trials(
         sees the noise.
     initial_state : array_like, shape (n,), optional
         State of the simulated plant, or of P, at the start of every trial. The observer does not
-        know this state. Default zero.
+        know this state. Default: zero.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default: zero, or what `pilot` says.
     reset : bool
-        Whether every trial starts from the initial state. If False, trials are periods of a plant
-        that never rests, see :mod:`ilctools.law.repetitive`. Then L must be a LearningFilter,
-        ``rest`` must be zero, and a trial must be longer than Q and L look ahead. At limits,
-        commands saturate and are not projected; learning goes on from the applied commands.
+        Whether every trial starts from the initial state. If False, trials are successive periods
+        of a plant that never comes to rest, see :mod:`ilctools.law.repetitive`. Then L must be a
+        LearningFilter, the law's ``rest`` must be zero, and a trial must be longer than Q and L
+        look ahead. If commands exceed their limits, they saturate, and v is not projected; learning
+        continues from the applied commands.
     pilot : float, optional
-        Share of the reference, relative to its first sample, that drives trial 1, by means of v.
-        Default: the whole reference; with limits of outputs the share that P and its radius allow
-        if no disturbance repeats.
+        Share of the reference that drives trial 1. The share is taken of the reference minus its
+        first sample, and v subtracts the remainder. Default: the whole reference. With limits of
+        outputs, the default is the share that P and its radius allow if no disturbance repeats.
     between : {'law', 'transfer'}
-        What computes v if the reference differs from that of the trial before: the law, or
-        :func:`ilctools.transfer`, from all trials so far and from the loop's P.
+        What computes v if the reference differs from the reference of the trial before. "law" uses
+        the law. "transfer" uses :func:`ilctools.transfer`, with all trials so far and with the
+        loop's P.
 
     Returns
     -------

@@ -1,6 +1,7 @@
-"""Check where trials start: if their states differ, learning in one trial does not help others.
+"""Check where trials start: with different initial states, learning from a trial does not help.
 
-The module compares the outputs and the references of later trials with the first start.
+The module compares the first outputs and the first references of later trials with the outputs at
+which the first trial started.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """The first ILC signal of a new reference, from the trials of other references.
 
-By (30) of the paper, y_k = P (r_k + v_k) + P~ d in any trial, converged or not. With
-e_k = r_k - y_k follows
+By (30) of the paper, y_k = P (r_k + v_k) + P~ d in any trial, whether learning has converged or
+not. With e_k = r_k - y_k, this gives
 
     v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d.                                (1)
 
@@ -9,7 +9,7 @@ This is the v that would be needed if y_k were the reference. F depends on the p
 compensates a repeating disturbance. Any reference r needs v = F r + c. No model of P is used.
 
 Let F y_k = Phi_k f, where f are the taps (coefficients) of F, and let t_k = v_k + e_k. One ridge
-regression gives both f and c:
+regression gives f and c. The terms lambda f' D f and gamma ||c||^2 penalise large f and c:
 
     minimise  sum_k ||t_k - Phi_k f - c||^2 + lambda f' D f + gamma ||c||^2.                  (2)
 
@@ -74,9 +74,9 @@ UNCERTAIN = 0.2  # a larger share of v that is uncertain gives a warning
 class Transfer:
     """The first v for another reference, and the uncertainty of this v.
 
-    Signals have the shape (time, m). The uncertainty has two parts. The jackknife part is from fits
-    that leave out one block of time each. The other part is the distance to a fit that uses only
-    differences between trials, rho = 0.
+    Signals have the shape (time, m). The uncertainty has two parts. The first part, the jackknife,
+    comes from fits, each of which leaves out one block of time. The second part is the distance to
+    a fit that uses only differences between trials, rho = 0.
     """
 
     v: np.ndarray  # ILC signal of the first trial, feedforward + compensation
@@ -109,8 +109,9 @@ def transfer(
         trials by isel. The first trials of a task are the most informative. If actuators saturate,
         pass the v that was realised, see the loop's `realised`.
     reference : array_like, shape (time, m)
-        The new reference, of any length. Where it has frequencies that the earlier references
-        lacked, v is a guess. Beyond the end of the trials, no disturbance is compensated.
+        The new reference, of any length. At frequencies that the earlier references did not
+        contain, v is only a guess. If the new reference is longer than the trials, no disturbance
+        is compensated after their end.
     model : control.StateSpace or a loop with a model, optional
         A model of the response from references to y. The trials correct a wrong model, and fewer
         trials are needed than without one. Default: no model.
@@ -127,11 +128,11 @@ def transfer(
 
     Notes
     -----
-    F is linear between lags that grow geometrically up to half a trial. Its regressors are slopes,
-    (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r.
-    Trials of one task have different v, and trials of different tasks have different references.
+    The impulse response of F is linear between lags that grow geometrically up to half a trial. The
+    regressors of F are slopes, (y(p - l) - y(p)) / l^2. Differences between trials distinguish c
+    from F r. Trials of one task differ in v, and trials of different tasks differ in the reference.
     Cross-validation over blocks of time chooses the weights lambda and rho, and whether F(0) = 0.
-    Above the cut-off of Q, a law removes v again.
+    If v has frequencies above the cut-off of Q, a law removes them again.
 
     Examples
     --------

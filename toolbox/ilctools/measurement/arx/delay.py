@@ -1,13 +1,14 @@
-"""Find the delays of the inputs from correlations, and compare the posteriors.
+"""Find the delays of the inputs: correlations propose delays, and posteriors decide on them.
 
-A delay is accepted if the posterior is larger with this delay. The lags of the numerator B of an
-input are counted from the delay of the input. The delays that are tried are a little less than the
-lag of the largest correlation between an input and the output, or between their moves. In the
-spectrum of the correlation, phases have more weight than magnitudes (C. H. Knapp and G. C. Carter,
-IEEE Trans. Acoust. Speech Signal Process. 24 (1976) 320-327).
+A delay is accepted if the posterior of the regression is larger with this delay. The lags of the
+numerator B of an input are counted from the delay of the input. The delays that are tried are a
+little less than the lag of the largest correlation between an input and the output, or between
+their changes from sample to sample. In the spectrum of the correlation, phases have more weight
+than magnitudes (C. H. Knapp and G. C. Carter, IEEE Trans. Acoust. Speech Signal Process. 24 (1976)
+320-327).
 
-In the prior, all delays up to the longest trial are equally likely. A delay therefore adds
-log(longest) to the cost (4) in `likelihood`, where longest is the length of the longest trial.
+In the prior, all delays up to the length of the longest trial are equally likely. A delay therefore
+adds log(longest) to the cost (4) in `likelihood`, where longest is the length of the longest trial.
 """
 
 from collections.abc import Sequence
@@ -20,8 +21,8 @@ from ilctools.measurement.arx.regressors import data_of
 from ilctools.measurement.arx.trials import Trials, contrasts, longest_of
 
 LEAST_DELAY = 5  # samples: the least lag of largest correlation that counts as a delay
-# Delays that are tried, relative to the lag of largest correlation of the signals, which is wide,
-# and of their moves. In a count of 100 records with a long delay, both are near.
+# Delays that are tried, relative to the lag of largest correlation: of the signals, where the peak
+# is wide, and of their changes. In 100 records with a long delay, both are near the true delay.
 ROOM_OF_SIGNALS, ROOM_OF_MOVES = 0.9, 0.98
 # The spectrum is divided by this power of its magnitudes. With 1, only phases would count. In a
 # count of 100 records with a long delay, 0.8 is near in 99.
@@ -57,7 +58,7 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
 
 
 def _anew(eta):
-    """Return eta with a new guess of the size of B, which a fit without the delay loses."""
+    """Return eta with a new guess of the size of B: without the delay, a fit makes B too small."""
     guess = Hyperparameters(*FIRST_GUESSES[0]).log_c_B
     return np.array(Hyperparameters(*eta)._replace(log_c_B=guess))
 
@@ -65,7 +66,8 @@ def _anew(eta):
 def _latest(groups, differences):
     """Find the lag of largest correlation of each input with the output, (m + d,).
 
-    `differences` is 0 for the correlation of signals, and 1 for the correlation of their moves.
+    `differences` is 0 for the correlation of signals, and 1 for the correlation of their changes
+    from sample to sample.
     """
     longest, products = longest_of(groups), 0.0
     for group in groups:

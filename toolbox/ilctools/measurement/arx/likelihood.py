@@ -1,27 +1,27 @@
 """The marginal likelihood of the hyperparameters, and its maximum with the prior.
 
-After integration over the unknowns x, the output y is normal. Equation (3) in `posterior` defines r
-and U. Of the n samples, n_1 belong to means over trials, which have the weight w. The negative
-logarithm of the density of y times the prior of eta is
+After integration over the unknowns x, the output y is normally distributed. Equation (3) in
+`posterior` defines r and U. Among the n samples, n_1 samples belong to means over trials, which
+have the weight w. The negative logarithm of the density of y times the prior of eta is
 
     n / 2 log r + log |U| - n_1 / 2 log w + |(eta - centre) / width|^2 / 2 -> min,              (4)
 
-where s^2 has its likeliest value, r / n. Some entries of eta are relative to the output, see
-`prior`. For these entries, the distance from the centre is the distance of eta + log s^2.
+where the variance s^2 of the noise has its likeliest value, r / n. Some entries of eta are relative
+to the output, see `prior`. For these entries, eta + log s^2 replaces eta in the last term.
 
-The gradient and the curvature are exact. Let J_k and w_k be the derivatives of log D and of w with
-respect to entry k of eta, z = D^(-1/2) x and V = (U' U)^-1. For means over trials, let
-e_1 = y_1 - X_1 x, g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). If the scaling by D^(1/2)
-is held fixed, the derivative of U' U is M_k = w_k K - diag(J_k). The derivative of the product of
-U' U with z is q_k = w_k g + diag(J_k) z. The derivatives are
+The gradient and the curvature (the matrix of second derivatives) are exact. Let J_k and w_k be the
+derivatives of log D and of w with respect to entry k of eta, z = D^(-1/2) x and V = (U' U)^-1. For
+means over trials, let e_1 = y_1 - X_1 x, g = D^(1/2) X_1' e_1 and K = D^(1/2) X_1' X_1 D^(1/2). If
+the scaling by D^(1/2) is held fixed, the derivative of U' U is M_k = w_k K - diag(J_k). The
+derivative of the product of U' U with z is q_k = w_k g + diag(J_k) z. The derivatives are
 
     dr = w_k e_1' e_1 - z' diag(J_k) z,          d^2 r = -2 q_k' V q_l + ...,
     d log |U| = (tr V M_k + sum of J_k) / 2,     d^2 log |U| = -tr(V M_k V M_l) / 2 + ...,     (4a)
 
 where the dots stand for terms with second derivatives of log D and of w.
 
-(4) may have one minimum with a drift and another one without. The search starts near both
-minima.
+The cost (4) may have one minimum with a drift and another minimum without a drift. The search
+starts near both minima.
 """
 
 from functools import cached_property, lru_cache
@@ -153,7 +153,8 @@ class Fit(NamedTuple):
 def likeliest(data: Data, first=FIRST_GUESSES, least: float = np.inf) -> Fit:
     """Find the minimum of (4) from the first guesses.
 
-    A search that will not come below `least` ends early, at a value above `least`.
+    If a search is not expected to come below `least`, the search ends early, at a value above
+    `least`.
     """
     found = [_search(data, eta, least) for eta in first]
     best = min(found, key=lambda likelihood: likelihood.value)
@@ -183,7 +184,7 @@ def _search(data, first, least):
 
 
 class Newton(NamedTuple):
-    """A Newton step, for which (4) is taken to be no less curved than the prior."""
+    """A Newton step, with a curvature of (4) that is at least the prior's smallest one."""
 
     step: np.ndarray  # (entry,)
     gain: float  # by how much a parabola falls in this step

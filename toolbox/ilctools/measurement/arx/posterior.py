@@ -1,12 +1,14 @@
 """The posterior of the unknowns, for given hyperparameters.
 
-With the regressors X, the output y and the variances D of the prior, all in units of s,
+With the regressors X, the output y and the variances D of the prior, all in units of the standard
+deviation s of the noise,
 
     U' U = I + D^(1/2) X' X D^(1/2),    x = D^(1/2) U^-1 h,    U' h = D^(1/2) X' y,             (3)
     s^2 = r / n,    r = y' y - h' h,
 
-x is the mean of the unknowns, and s^2 D^(1/2) (U' U)^-1 D^(1/2) is their covariance. The products
-X' X, X' y and y' y of means over trials are multiplied by a weight.
+x is the mean of the unknowns, and s^2 D^(1/2) (U' U)^-1 D^(1/2) is their covariance. If the
+products X' X, X' y and y' y come from means over trials, they are multiplied by a weight, because a
+disturbance may repeat in these means.
 """
 
 from typing import NamedTuple
@@ -50,12 +52,12 @@ class Posterior(NamedTuple):
 
     @property
     def spread(self) -> np.ndarray:
-        """The matrix (X' X + D^-1)^-1, by which an error in X' y moves x."""
+        """The matrix (X' X + D^-1)^-1, which maps an error of X' y to the resulting error of x."""
         inverse = self.inverse() * np.outer(self.root_D, self.root_D)
         return np.triu(inverse) + np.triu(inverse, 1).T
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Multiply columns (unknown, column) by U'^-1 D^(1/2): their covariance is then s^2 I."""
+        """Compute W = U'^-1 D^(1/2) Z for columns Z; the covariance of Z' x is s^2 W' W."""
         return solve_triangular(self.U, self.root_D[:, None] * columns, trans=1)
 
 

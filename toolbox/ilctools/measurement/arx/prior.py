@@ -1,7 +1,7 @@
 """The prior: variances of the unknowns, and the hyperparameters eta on which they depend.
 
-Coefficients decay, and neighbouring coefficients are alike. The prior is the tuned-correlated
-kernel of their lags i and j,
+By the prior, coefficients decay with the lag, and neighbouring coefficients are similar. The prior
+is the tuned-correlated kernel of their lags i and j,
 
     cov(g_i, g_j) = s^2 c exp(-max(i, j) / T),
 
@@ -11,9 +11,10 @@ lag to lag, the covariance is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-where gap is the distance to the next lag. For slow parts and the steps of a drift, D = c. The
-response to the initial condition decays only from the latest delay on. This response includes the
-effect of an input that had another value before the trial. The noise e is white with variance s^2.
+where gap is the distance to the next lag. For slow parts (see `unknowns`) and the steps of a drift,
+D = c. For the response to the initial condition, D decays only from the longest delay of an input
+on, because this response includes the effect of an input that had another value before the trial.
+The noise e is white with variance s^2.
 
 The hyperparameters are logarithms. In the prior they are normal and independent, see `ASSUMED`.
 """
@@ -62,7 +63,7 @@ ASSUMED = Hyperparameters(
     log_c_A=Assumed(-4.0, of_output=True),
     log_c_B=Assumed(-4.0, of_output=True),
     log_c_START=Assumed(-4.0, of_output=True),
-    # A drift is no part of what the inputs move: its steps, a quarter of s, are relative to noise.
+    # The inputs do not cause a drift: its steps, a quarter of s, are therefore relative to noise.
     log_c_DRIFT=Assumed(-3.0),
     log_T=Assumed(2.3),  # ten samples
     rho=Assumed(0.0),  # as much of the noise repeats as not
@@ -82,7 +83,7 @@ LARGEST_LOGARITHM = 50.0
 
 
 def standardised(eta: np.ndarray, variance: float) -> np.ndarray:
-    """Compute by how many widths eta is away from its centre, if s^2 is this variance."""
+    """Compute the distance of eta from its centre, in widths, if s^2 is this variance."""
     return (eta + OF_OUTPUT * np.log(variance) - CENTRE) / WIDTH
 
 

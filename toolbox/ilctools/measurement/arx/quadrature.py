@@ -2,7 +2,7 @@
 
 Near the likeliest eta, the hyperparameters are taken to be normally distributed with the covariance
 S S'. This covariance is the inverse of the curvature (the matrix of second derivatives) of the cost
-(4) in `likelihood`. A cubature rule integrates over the hyperparameters by the points
+(4) in `likelihood`. A cubature rule integrates over the hyperparameters with the points
 
     eta + HEAVY sqrt(d) S_k,    eta - HEAVY sqrt(d) S_k,    k = 1 ... d,                        (5)
 
@@ -10,7 +10,7 @@ where d is the number of entries and S_k are the columns of S (I. Arasaratnam an
 Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one). At each point the unknowns have a
 mean and a covariance, by (3) in `posterior`. The covariance over all points has two parts. The
 first part is the mean of the covariances. The second part is the mean square of the difference
-between each mean and the mean at the likeliest eta. No number is random.
+between each mean and the mean at the likeliest eta. The rule uses no random numbers.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from ilctools.measurement.arx.posterior import posterior
 from ilctools.measurement.arx.prior import LARGEST_LOGARITHM
 from ilctools.measurement.arx.regressors import Data
 
-HEAVY = 1.2  # width of the tails of eta, relative to normal ones, found by counting
+HEAVY = 1.2  # width of the tails of eta, relative to normal tails, found by counting
 
 
 def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:

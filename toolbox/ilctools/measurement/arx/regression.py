@@ -1,10 +1,11 @@
-"""Estimate P of one output from any signals, and how wrong the estimate may be.
+"""Estimate P to one output from any signals, and how wrong the estimate may be.
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
 The inputs u are the commanded inputs, followed by the known disturbances, which were measured. A
-known disturbance has a B of its own, which is estimated like the others. The response to the
-commanded inputs is P = B / A. Each step has a module in this folder:
+known disturbance has a B of its own, which is estimated like every other B. The terms start, line
+and drift are explained in `unknowns`, and e is white noise. The response to the commanded inputs is
+P = B / A. Each step has a module in this folder:
 
 =============  =====================================================================  ==========
 trials         the mean of trials and their differences, one by one
@@ -13,7 +14,7 @@ regressors     the columns X of the unknowns, and the products X' X and X' y
 prior          variances of the unknowns, by hyperparameters eta                      (2)
 posterior      mean and covariance of the unknowns, at one eta                        (3)
 likelihood     the likelihood of eta, its gradient and its maximum                    (4)
-delay          the delay of each input, if the posterior is larger with it
+delay          the delay of each input, chosen by the posterior
 quadrature     the covariance of the unknowns over eta                                (5)
 regression     P, and the covariance of its error                                     (6)
 =============  =====================================================================  ==========
@@ -45,7 +46,7 @@ FOLDED = 1e-10
 
 
 class ErrorOfP(NamedTuple):
-    """Covariances of the error of P, by (6) from that of the unknowns, at n angles omega Ts."""
+    """Covariances of the errors of P and of A at n angles omega Ts, by (6)."""
 
     of_P: np.ndarray  # covariance of dP, real parts first, (n, 2 m, 2 m)
     of_A: np.ndarray  # variances of the real and the imaginary part of dA / A, (2, n)
@@ -75,7 +76,7 @@ class Regression:
         return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
 
     def covariance(self, omega: np.ndarray) -> ErrorOfP:
-        """Compute the covariance of (6) at angles omega Ts, (n,)."""
+        """Compute the covariance of dP of (6) at angles omega Ts, (n,)."""
         layout, P, A = self.data.layout, self.response(omega), self._A(omega)[:, None]
         of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
         of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
@@ -92,7 +93,7 @@ class Regression:
 
     @property
     def denominator(self) -> np.ndarray:
-        """The estimate of A, lag by lag."""
+        """The coefficients of the estimate of A, from lag 0 on."""
         layout = self.data.layout
         past = coefficients(self.mean[layout.where(Kind.A)], layout.knots_of_A, layout.lags + 1)
         past[0] = 1.0  # A is monic
@@ -121,7 +122,7 @@ class Regression:
         return self._A(omega)
 
     def numerators(self, n: int) -> np.ndarray:
-        """Compute the estimates of B over n lags, (m + d, n); disturbances stand last."""
+        """Compute the estimates of B over n lags, (m + d, n); known disturbances stand last."""
         layout, poles, B = self.data.layout, self.data.layout.poles, []
         for j, knots in enumerate(layout.knots_of_B):
             B.append(coefficients(self.mean[layout.where(Kind.B, j)], knots, n))
@@ -133,8 +134,8 @@ class Regression:
         """Compute the impulse responses over n samples to all inputs, (m + d, n).
 
         Impulse responses are the coefficients of the power series B / A, transformed back from
-        values of the series on a circle. Coefficients n_fft samples later are folded upon the
-        first ones, with the weight `FOLDED`.
+        values of the series on a circle. The transform adds each coefficient to the coefficient
+        n_fft samples earlier, with the weight `FOLDED`.
         """
         longest = max(n, self.data.layout.lags + 1)
         n_fft = next_fast_len(4 * longest)
@@ -146,7 +147,7 @@ class Regression:
         return np.where(at_rest, 0.0, answers)
 
     def residual(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Compute A y - B u of trials from rest, (trial, time).
+        """Compute A y - B u of trials that begin at rest, (trial, time).
 
         The start, the line and the drift of (1) are not subtracted.
         """
@@ -158,9 +159,10 @@ class Regression:
 def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
     """Estimate P from all commanded inputs to one output.
 
-    `direct` says whether y(t) may depend on the commanded inputs at t, or at t less their delay.
-    `delays` are the least delays of the commanded inputs in samples, (m,). Larger delays are tried
-    if correlations show them. `gain` is P at rest, (m,), if this is known.
+    `direct` says whether y(t) may depend on the commanded inputs at the same time t, or at t minus
+    their delay, and not only on earlier inputs. `delays` are the least delays of the commanded
+    inputs in samples, (m,). Larger delays are tried if correlations show them. `gain` is P at zero
+    frequency, (m,), if this is known.
     """
     commanded = groups[0].commanded
     least = np.zeros(groups[0].u.shape[2], int)  # no delay of a known disturbance is known

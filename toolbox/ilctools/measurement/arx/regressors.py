@@ -1,11 +1,12 @@
 """The regressors of equation (1) in `unknowns`, and their products, summed over all series.
 
-T(u) is the matrix of lagged samples of u, and `unknowns` defines H. A drift is straight between
-samples that are called knots, and consists of ramps from knot to knot. Then
+A series is the mean of trials or a difference between them, see `trials`. T(u) is the matrix of
+lagged samples of u, and `unknowns` defines H. A drift is straight between samples that are called
+knots, and consists of ramps from knot to knot. Then
 
     X = [-T(y) H, T(u_1) H, ..., T(u_m) H, slow parts, T(1, 0, 0 ...) H, ramps].
 
-The line of (1), an offset and a slope of each series, is taken out of X and y beforehand. The later
+The line of (1), an offset and a slope of each series, is removed from X and y beforehand. The later
 steps need X' X, X' y and y' y, but not X. These products are added up series by series.
 """
 
@@ -19,7 +20,7 @@ from scipy.signal import lfilter
 from ilctools.measurement.arx.trials import Series, Trials, series_of
 from ilctools.measurement.arx.unknowns import DRIFT_KNOTS, Kind, Layout, layout_of
 
-# The weight of a known P at rest among the products: P is met to a thousandth of the noise s.
+# The weight of a known P at rest among the products: the fit meets P to a thousandth of s.
 WEIGHT_AT_REST = 1e6
 STRETCH = 8192  # samples of X at a time, which take some 30 MB
 
@@ -66,9 +67,9 @@ def _slow_parts(u, poles):
 class Lagged:
     """T(u) H, transposed: a signal (time,) filtered by each column of H, (knot, time).
 
-    A column of H is one from the first knot to its own knot. From there the column falls to zero at
-    the next knot, in a straight line. Each column therefore makes a running sum of u, less the mean
-    of earlier running sums.
+    A column of H has the value one from the first knot to its own knot. From there the column falls
+    to zero at the next knot, in a straight line. Each column therefore computes a running sum of u,
+    minus the mean of earlier running sums.
     """
 
     def __init__(self, signal: np.ndarray, knots: np.ndarray):
@@ -91,14 +92,14 @@ class Lagged:
 class Data(NamedTuple):
     """All information about the unknowns of a layout: products Z Z' of Z = [X, y, ...]'.
 
-    Offset and slope are taken out of Z. Means over trials are kept apart, because they have a
+    Offset and slope are removed from Z. Means over trials are kept apart, because they have a
     weight of their own.
     """
 
     layout: Layout
     single: np.ndarray  # products of differences between trials, and of single trials
     means: np.ndarray  # products of means over several trials
-    n: int  # number of samples, less two of each series for offset and slope
+    n: int  # number of samples, minus two of each series for offset and slope
     n_1: int  # number of samples of means among the n samples
 
     def weighted(self, weight: float) -> np.ndarray:
@@ -143,7 +144,7 @@ def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=Non
     """Compute the products of trials for given delays.
 
     `layout_of` explains `direct`. `delays` are the delays of all inputs, (m + d,). `gain` is P at
-    rest, (m,), if this is known.
+    zero frequency, (m,), if this is known.
     """
     layout = layout_of(groups, direct, delays)
     data = products(groups, layout)

@@ -1,7 +1,7 @@
 """Trials as the regression uses them, and series, which are means and differences of trials.
 
-A disturbance that repeats is the same in all trials of a group. K trials y_k therefore enter as K
-series by Helmert's orthonormal contrasts,
+A disturbance that repeats is the same in all trials of a group. K trials y_k are therefore
+transformed into K series by Helmert's orthonormal contrasts,
 
     sqrt(K) times the mean of the y_k,  and  K - 1 differences between them,
 
@@ -40,7 +40,7 @@ def longest_of(groups: Sequence[Trials]) -> int:
 
 
 class SeriesKey(NamedTuple):
-    """A key by which everything that belongs to a series is found."""
+    """The key of a series, by which its unknowns and its other parts are found."""
 
     group: int  # the position of its group
     contrast: int  # 0 for the mean of the group's trials, then the differences between them

@@ -2,17 +2,19 @@
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-A is monic. A and each B have as many lags as a quarter of the longest trial. The lags of a B are
-counted from a delay of its input. A start is the response to signals before a series, and has as
-many lags. A drift is a random walk. In addition to its lags, each B has slow parts x (1 - p) /
-(z - p). Their time constants are the length of the longest trial, and a third of it. A plant may
-have a small part that is far slower than the rest. Without slow parts, the regression would treat
-this part as drift, and would not see the error.
+A is monic. The number of lags of A and of each B is a quarter of the samples of the longest trial.
+The lags of a B are counted from the delay of its input. A series is the mean of trials or a
+difference between them, see `trials`. A start is the response to signals before a series, and has
+the same number of lags. A line is an offset and a slope of a series. A drift is a random walk. In
+addition to its lags, each B has slow parts x (1 - p) / (z - p). The time constant of one slow part
+is the length of the longest trial. The time constant of the other one is a third of this length. A
+plant may have a small part that is far slower than its other dynamics. Without slow parts, the
+regression would treat this part as drift, and would not see the error.
 
-The unknowns of a response are its increments from lag to lag. Far lags share one increment: the
-coefficients lie on straight lines between *knots*. The coefficients are H x, where x are the
-increments. A column of H is one from the first knot to its own knot, and from there falls to zero
-at the next knot.
+The unknowns of a response are its increments from lag to lag. Several successive lags may share one
+increment: the coefficients lie on straight lines between *knots*. The coefficients are H x, where x
+are the increments. A column of H has the value one from the first knot to its own knot, and from
+there falls to zero at the next knot.
 """
 
 from collections.abc import Hashable, Sequence
@@ -81,8 +83,8 @@ class Block(NamedTuple):
 class Layout:
     """The unknowns x, block by block, and the lags that they represent.
 
-    The block of A stands first, then the block of each B, and then the blocks without lags of a
-    signal.
+    The block of A stands first, and then the block of each B. The blocks of slow parts, starts and
+    drifts follow.
     """
 
     blocks: tuple[Block, ...]
@@ -147,8 +149,8 @@ class Layout:
 def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Layout:
     """Make the layout of the unknowns for these trials.
 
-    `direct` says whether y(t) may depend on the commanded inputs at t, or at t less their delay.
-    `delays` are the delays of all inputs, (m + d,).
+    `direct` says whether y(t) may depend on the commanded inputs at the same time t, or at t minus
+    their delay, and not only on earlier inputs. `delays` are the delays of all inputs, (m + d,).
     """
     longest, commanded = longest_of(groups), groups[0].commanded
     reach = max(FEWEST_LAGS, longest // SHARE_OF_LAGS)
@@ -175,8 +177,9 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
 def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
     """Choose the knots of the starts of `series` series; `late` is the latest delay, in samples.
 
-    Up to this delay, the effect of earlier inputs is still on its way and may be anything. There is
-    then a knot at each sample, unless all starts together would have too many.
+    Until this delay has passed, inputs from before the series still act on the output, and their
+    effect may be of any form. There is then a knot at each sample, unless all starts together would
+    have too many.
     """
     coarse = late + knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
     fine = np.union1d(np.arange(late), coarse)
