@@ -70,7 +70,7 @@ measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=regio
 		test -z "$(WHAT)" || echo "WHAT=$(WHAT) is not there; these are:" >&2; \
 		grep -l __main__ benchmarks/*.py | xargs grep -m 1 '^"""' \
 		| sed 's|benchmarks/\(.*\).py:"""|make measure WHAT=\1\t|' | expand -t 40; exit 2; }
-	@PYTHONPATH=toolbox/tests $(BIN)/python benchmarks/$(WHAT).py
+	@PYTHONPATH=toolbox/tests $(BIN)/python benchmarks/$(WHAT).py $(ARGS)
 
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
 	@rm -rf build/pages

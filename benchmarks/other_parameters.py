@@ -25,7 +25,7 @@ from runner import run
 
 from rodlib.paper.repository import ROOT
 
-RUNS, SEED = 10, 0  # of each notebook; of the draws
+RUNS = 10  # of each notebook
 MOST_AT_ONCE = 3  # parameters that a run changes
 LARGEST = {  # of parameters whose larger values take minutes, and show no more
     "draws": 4,
@@ -66,9 +66,9 @@ def ranges(name):
     return found
 
 
-def drawn(name, number):
+def drawn(name, number, seed):
     """The parameters of a run: up to three, each at an end of its range or within it."""
-    rng, of = np.random.default_rng([SEED, number, *name.encode()]), ranges(name)
+    rng, of = np.random.default_rng([seed, number, *name.encode()]), ranges(name)
     changed = rng.choice([*of], size=min(len(of), rng.integers(1, MOST_AT_ONCE + 1)), replace=False)
     values = {}
     for key in map(str, changed):
@@ -121,17 +121,22 @@ def ended(name, parameters):
 
 
 def judged(case):
-    """The outcome of a case (name, number)."""
-    name, number = case
-    parameters = drawn(name, number)
+    """The outcome of a case (name, number, seed)."""
+    name, *draw = case
+    parameters = drawn(name, *draw)
     return name, parameters, *ended(name, parameters)
 
 
-def main(*names):
-    """Run all notebooks, or those whose names begin so; whether any run ended badly."""
+def main(*words):
+    """Run all notebooks, or those whose names begin with a word; whether any run ended badly.
+
+    A word may be seed=3, for other draws: make measure WHAT=other_parameters ARGS="seed=3 07 08".
+    """
+    seed = next((int(word[5:]) for word in words if word.startswith("seed=")), 0)
+    names = tuple(word for word in words if not word.startswith("seed="))
     every = sorted(path.stem for path in ROOT.glob("notebooks/*.ipynb"))
     books = [name for name in every if not names or name.startswith(names)]
-    cases = [(name, number) for name in books if ranges(name) for number in range(RUNS)]
+    cases = [(name, number, seed) for name in books if ranges(name) for number in range(RUNS)]
     counts = Counter()
     with ProcessPoolExecutor(max_tasks_per_child=1) as pool:
         for name, parameters, outcome, text, seconds in run(judged, cases, pool):

@@ -1,11 +1,12 @@
 """The benchmarks are not timed here; a few cases of each run, and their outcome is tested."""
 
 import re
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from types import SimpleNamespace
 
 import bench_synthesis
+import other_parameters
 import pytest
 import regions
 import runner
@@ -52,3 +53,29 @@ def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatc
     assert rows[-1] == "| full | 60 | CVXPY, batched | 2.00 | 0.222 | 7 |" and len(rows) == 2 + 6
     problem = *bench_synthesis.paper_problem(60), "full"
     assert 0 <= bench_synthesis.added_memory(bench_synthesis.of_the_model, problem) < 500
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "outcome", "said"),
+    [  # of some 300 runs these had ended worst: in errors of Python and of NumPy
+        ("08-alternatives", {"slowest": 0.9, "evaluations": 9}, "own error", "no filter of 9 has"),
+        ("10-measurement", {"M_max": 0.65, "hours": 2.0}, "own error", "smallest feasible M_max"),
+    ],
+)
+def test_a_notebook_with_other_parameters_ends_sensibly(name, parameters, outcome, said):
+    with ProcessPoolExecutor(1) as pool:  # a run changes the folder and the backend
+        ended, text, _ = pool.submit(other_parameters.ended, name, parameters).result()
+    assert ended == outcome and said in text
+
+
+def test_parameters_are_drawn_within_their_ranges():
+    name = "03-ilc-synthesis"
+    of, values = other_parameters.ranges(name), {}
+    assert of["order"] == [10, 1, 60]
+    for number in range(200):
+        values = other_parameters.drawn(name, number, 0)
+        assert 1 <= len(values) <= other_parameters.MOST_AT_ONCE
+        for key, value in values.items():
+            _, least, most = of[key]
+            assert least <= value <= most and isinstance(value, type(least))
+    assert values == other_parameters.drawn(name, 199, 0) != other_parameters.drawn(name, 199, 1)
