@@ -96,7 +96,10 @@ class TemperatureControlLab:
         return time.monotonic() if self.kit else self.lab.tlast
 
     def begin(self, trial: int) -> None:
-        """Wait for the state of rest; in the first trial, also measure the temperatures at rest."""
+        """Wait for the state of rest.
+
+        In the first trial, the temperatures at rest are also measured.
+        """
         self._due = self.clock()
         readings = []
         for _ in range(round(self.wait / self.Ts)):

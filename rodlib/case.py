@@ -22,7 +22,7 @@ MOVES = (  # for each output: up, to the second plateau, down; begin and end of 
 
 
 def paper_choices(**changes) -> dict:
-    """Return the paper's choices for the synthesis, Section IV-B, with any changes.
+    """Return the paper's choices for the synthesis, Section IV-B; arguments replace choices.
 
     The choices are keyword arguments of :func:`ilctools.synthesise`. L_max is in K/K, and the band
     is in rad/s. The paper's L is a finite filter, which `base` = None asks for. The paper's design

@@ -224,7 +224,7 @@ class PeltierRig(Bench):
         self.time += self.Ts
 
     def _slopes(self, state, pumped):
-        """Compute the rates that depend on the state and are not in the exponentials, K/s."""
+        """Compute the nonlinear rates of the temperatures, K/s: those not in the exponentials."""
         above, hot = state - self.ambient, state + self.parameters.temperature
         lost = self._convection * np.sqrt(np.sqrt(np.abs(above))) * above
         return pumped * hot - lost - self._radiation * np.square(hot * hot)
@@ -249,7 +249,7 @@ class RestartingPeltierRig(Restarting, PeltierRig):
 
 
 def _linear_part(conducting, p):
-    """Make A of conduction in the rod and the elements, and of sinks and sensors, 1/s.
+    """Make the state matrix A of the linear parts: conduction, sinks and sensors, in 1/s.
 
     The states are the temperatures of cells and sinks, and the values that the sensors show.
     """

@@ -161,9 +161,10 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
 
 
 def _weighted(rod, degree, function):
-    """Integrate a function of z times polynomials on each section; the last row is its value at l.
+    """Integrate a function of z, times polynomials, on each section.
 
-    The polynomials are Legendre's, of degree M - 1 or less.
+    The polynomials are Legendre's, of degree M - 1 or less. The last row of the result is the value
+    of the function at z = l.
     """
     # The products have degree 2M at most: Gauss's rule with M + 1 nodes is exact.
     nodes, gauss = np.polynomial.legendre.leggauss(degree + 1)
@@ -194,7 +195,7 @@ def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
-    """Model the average temperatures of equal cells, which exchange heat, in state space.
+    """Model a rod in state space by the average temperatures of equal cells.
 
     Fourier's law (2) holds between the middles of two cells, whose distance is dz,
 

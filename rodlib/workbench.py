@@ -133,7 +133,10 @@ def open_workbench(loop, reference, disturbance=None, **choices):
 
 
 def _knobs(start, most_noise):
-    """Make a slider for each choice, at its initial value; a slider acts when it is released."""
+    """Make a slider for each choice, at the initial value of the choice.
+
+    A slider acts when it is released.
+    """
     from ipywidgets import Dropdown, FloatSlider, IntSlider
 
     gain, cutoff = start["L_max"], start["cutoff"]

@@ -16,7 +16,9 @@ from rodlib.paper.repository import ROOT, checkout
 
 
 def compiled(root: Path = ROOT) -> tuple[bytes, str]:
-    """Compile the article of a clone; return the PDF, and the list of quotes as JSON.
+    """Compile the article of a clone.
+
+    Return the PDF, and a JSON text that lists what the article takes from the ledger.
 
     Only the fonts of the compiler are used, and the PDF has no date. The same sources thus give
     the same bytes.

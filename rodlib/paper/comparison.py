@@ -59,7 +59,10 @@ def same_figure(drawn: Path, tracked: Path) -> bool:
 
 
 def same_picture(one: Path, other: Path) -> bool:
-    """Return whether two PNG files show the same picture; False if a file cannot be read."""
+    """Return whether two PNG files show the same picture.
+
+    If a file cannot be read, return False.
+    """
     try:
         one, other = imread(one), imread(other)  # from 0 to 1
     except (OSError, SyntaxError, ValueError):  # SyntaxError: pillow's
@@ -70,7 +73,7 @@ def same_picture(one: Path, other: Path) -> bool:
 
 
 def _within(one, other):
-    """Whether each pixel lies between the pixels around its place in the other picture."""
+    """Whether each pixel lies within the range of the pixels around it in the other picture."""
     low, high = (extreme(other, (3, 3, 1)) for extreme in (minimum_filter, maximum_filter))
     beyond = 255 * np.maximum(low - one, one - high).max(axis=2)
     specks = np.mean(beyond > LEVELS + 0.5)

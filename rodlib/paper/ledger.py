@@ -6,8 +6,8 @@ the number or the statement *differs*. Tolerance and criterion share one column.
 vague for a criterion is *in words*: its row says how far the statement holds.
 
 Words are judged alike in both directions. "Small", "little" and "approximately" hold below a tenth,
-fail above a third, and are in words in between. A claim is also in words, whichever way it comes
-out, if it depends on a choice of ours. The choice may be an initial condition, a reference found by
+fail above a third, and are in words in between. If a claim depends on a choice of ours, the claim
+is in words, whatever its number is. The choice may be an initial condition, a reference found by
 search, one of several optimal filters, a signal or a rig. A claim is in words, too, if its verdict
 changes when the signals and rigs that we assume are varied. Its row then has the range of the
 number. If our rigs disagree, the row cannot be checked.
@@ -134,10 +134,11 @@ def shown(claim: Claim, value: float) -> str:
 
 
 class Ledger:
-    """The rows of one notebook, which is given by its name.
+    """The rows of the ledger that one notebook computes.
 
-    In the notebook, pandas then shows whole sentences. `parameters` are the notebook's parameters
-    that the paper prints, by key. If a parameter is not exactly the paper's, no row gets a verdict.
+    As soon as such an object is made, pandas shows whole sentences in the notebook. `parameters`
+    are the notebook's parameters that the paper prints, by key. If a parameter is not exactly the
+    paper's, no row gets a verdict.
     """
 
     def __init__(self, notebook: str, **parameters):
@@ -149,7 +150,7 @@ class Ledger:
         )
 
     def record(self, key: str, computed=None) -> None:
-        """Enter what was computed for the claim `key`, or for a printed matrix of that name.
+        """Record the computed value of a claim, or of a printed matrix, by its key or name.
 
         A matrix has the shape of :func:`rodlib.paper.published.matrix`. None stands for a claim
         that cannot be checked.
@@ -206,7 +207,10 @@ def read(path):
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """Return the README's text: how many claims that could differ agree, and which differ."""
+    """Return the text for the README, which says how many claims agree and which differ.
+
+    Only claims that could differ count.
+    """
     counts, lines = counted(rows), []
     for name, what in COUNTED.items():
         agree, differ = counts.loc[name, [REPRODUCED, DIFFERS]]

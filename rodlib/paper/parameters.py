@@ -10,7 +10,9 @@ from ilctools.arguments import number, whole
 
 
 def checked(**parameters: tuple) -> dict:
-    """Return the values of parameters by name; a ValueError names a value outside its range.
+    """Return the values of parameters by name.
+
+    If a value is outside its range, a ValueError names the parameter.
 
     A number is passed as (value, default, least, most), with both ends included. If both ends are
     whole numbers, the value must also be a whole number. Any other parameter is passed as (value,

@@ -45,12 +45,18 @@ def value(printed: str) -> float:
 
 
 def decimals(printed: str) -> int | None:
-    """Count the printed digits after the point; None for fractions, powers, pi and words."""
+    """Count the printed digits after the point.
+
+    For fractions, powers, pi and words, return None.
+    """
     return len(printed.partition(".")[2]) if re.fullmatch(r"-?\d+(\.\d+)?", printed) else None
 
 
 def half_unit(printed: str) -> float:
-    """Return half a unit of the last printed digit, or rounding for fractions, powers and pi."""
+    """Return half a unit of the last printed digit.
+
+    For fractions, powers and pi, return a tolerance for rounding errors instead.
+    """
     places = decimals(printed)
     return 1e-12 * abs(value(printed)) if places is None else 0.5 * 10.0**-places
 
@@ -60,12 +66,18 @@ def _table(name):
 
 
 def matrix(name: str) -> np.ndarray:
-    """Return one of `PRINTED_MATRICES`; a filter has the shape of its coefficients."""
+    """Return the printed matrix that has this name in `PRINTED_MATRICES`.
+
+    For a filter, the result is the array of its coefficients, (2, 2, coefficients).
+    """
     return _arranged(name, _table(name).map(value).to_numpy())
 
 
 def keys(name: str) -> np.ndarray:
-    """Return the claim key of each entry of a matrix; "" if the entry is zero by structure."""
+    """Return the key of the claim for each entry of a matrix.
+
+    If an entry is zero because of the structure of the matrix, its key is "".
+    """
     table = _table(name)
     entries = [[f"{name}[{row},{column}]" for column in table] for row in table.index]
     return _arranged(name, np.array(entries))

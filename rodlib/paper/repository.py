@@ -7,7 +7,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def checkout(what: str, root: Path = ROOT) -> Path:
-    """Return the clone that `what` writes to; raise a RuntimeError if `root` is not a clone."""
+    """Return the clone that `what` writes to.
+
+    If `root` is not a clone of the repository, a RuntimeError is raised.
+    """
     project = root / "pyproject.toml"
     if project.is_file() and 'name = "rodlib"' in project.read_text(encoding="utf-8"):
         return root

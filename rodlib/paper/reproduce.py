@@ -37,12 +37,14 @@ def execute(notebook: Path, executed: Path) -> None:
 
 
 def longest_first(root: Path) -> list[Path]:
-    """Return the notebooks, the last one first: those that take longest are among the last."""
+    """Return the notebooks in reverse order, because the last ones take longest."""
     return sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
 
 
 def reproduce(root: Path = ROOT) -> None:
-    """Run all notebooks and publish the figures and the ledger; after an error, publish nothing.
+    """Run all notebooks, and publish the figures and the ledger.
+
+    After an error, nothing is published.
 
     Only one run may be active. A run begins with an empty folder, in which the notebooks of this
     run save their results.

@@ -33,9 +33,10 @@ ROLES = {  # coordinates that name signals, and the name of all these signals in
 def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
-    """Check that a number is finite, ``low < value < high`` and ``least <= value <= most``.
+    """Check that a number is finite and lies in a range.
 
-    The words in `what` describe this range in the error message.
+    The range is ``low < value < high`` and ``least <= value <= most``. The words in `what` describe
+    this range in the error message.
     """
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
@@ -59,7 +60,10 @@ def sampling_period(name: str, value) -> float:
 
 
 def whole(name: str, value, low: int, high: int | None = None) -> int:
-    """Check that a value is a whole number from `low` to `high`; None is no upper limit."""
+    """Check that a value is a whole number from `low` to `high`.
+
+    If `high` is None, there is no upper limit.
+    """
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
@@ -68,7 +72,10 @@ def whole(name: str, value, low: int, high: int | None = None) -> int:
 
 
 def flag(name: str, value) -> bool:
-    """Check that a value is True or False; refuse other values that count as such, like 1."""
+    """Check that a value is True or False.
+
+    Other values that Python treats as true or false, such as 1, are refused.
+    """
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be True or False")
     return bool(value)
@@ -100,7 +107,10 @@ def different(name: str, value) -> list[str]:
 
 
 def by_name(name: str, value, names: Sequence[str]) -> dict:
-    """Check that the keys of a dict are signals in `names`; turn None into an empty dict."""
+    """Check that each key of a dict is the name of a signal in `names`.
+
+    If the value is None, an empty dict is returned.
+    """
     if not isinstance(value, dict | None):
         raise ValueError(
             f"{name} = {reprlib.repr(value)} must be a dict whose keys are names of signals"
@@ -115,7 +125,10 @@ def by_name(name: str, value, names: Sequence[str]) -> dict:
 
 
 def names_of(signals) -> list[str] | None:
-    """Return the names of a table's columns, or of a DataArray's channels; None if unnamed."""
+    """Return the names of a table's columns, or of a DataArray's channels.
+
+    If the columns or channels have no names, None is returned.
+    """
     if hasattr(signals, "columns"):
         labels = [*signals.columns]
     else:
@@ -126,7 +139,7 @@ def names_of(signals) -> list[str] | None:
 
 
 def in_columns(name, signal, shape, names):
-    """Return a signal as an array with one column for each of `names`, in their order.
+    """Return a signal as an array with one column for each name in `names`.
 
     If the signal itself names its channels, its columns are put in the order of `names`. A signal
     with a single channel may have the shape (time,).
@@ -140,13 +153,19 @@ def in_columns(name, signal, shape, names):
 
 
 def by_channel(name, value, names):
-    """Put labelled numbers, one per channel, in the order of `names`; leave others as they are."""
+    """Put labelled numbers, one for each channel, in the order of `names`.
+
+    Numbers without labels are returned as they are.
+    """
     own = names_of(value.to_xarray() if hasattr(value, "to_frame") else value)  # of pandas
     return value if own is None else np.asarray(value)[..., _order(name, own, names)]
 
 
 def _order(name, own, names):
-    """Return the index of each of `names` in `own`, the names of an array's channels."""
+    """Return the index of each name in the list `own`.
+
+    The list `own` holds the names of an array's channels.
+    """
     if sorted(own) != sorted(names):
         raise ValueError(
             f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
@@ -156,7 +175,10 @@ def _order(name, own, names):
 
 
 def labelled_as(value, signal, names):
-    """Return an array, one column per name, in the shape and order and with labels of `value`."""
+    """Return a signal with the shape, the order of channels and the labels of `value`.
+
+    The argument `signal` has one column for each name in `names`.
+    """
     own = names_of(value)
     if own is None:
         return signal.reshape(np.shape(value))
@@ -176,7 +198,10 @@ def check_times(name: str, times, Ts: float) -> None:
 
 
 def each_trial(name, signal, trials, samples, names, Ts):
-    """Return a signal with the trial as first axis; a signal common to all trials is repeated."""
+    """Return a signal with the trial as its first axis.
+
+    If one signal is passed for all trials, the signal is repeated for each trial.
+    """
     times = getattr(signal, "index", getattr(signal, "time", None))  # of pandas, of xarray
     if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
         check_times(name, times, Ts)
@@ -206,7 +231,10 @@ def state_space(name: str, value) -> control.StateSpace:
 
 
 def stable(name: str, poles) -> float:
-    """Return the largest modulus of the poles of a discrete-time system; refuse 1 or more."""
+    """Return the largest modulus of the poles of a discrete-time system.
+
+    If this modulus is 1 or more, the system is refused.
+    """
     radius = np.abs(poles).max(initial=0)
     if radius > CIRCLE:
         raise ValueError(
@@ -217,11 +245,12 @@ def stable(name: str, poles) -> float:
 
 
 def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
-    """Make an array of finite numbers with a shape like ``("time", 2)`` or ``(..., "m", "m")``.
+    """Convert a value to an array of finite numbers, and check its shape.
 
-    In the shape, a name stands for any size above zero. If a name occurs twice, both sizes must be
-    equal. An Ellipsis at the front stands for any number of axes. `dtype` is float or complex. If
-    True occurs among numbers, it counts as 1.
+    The wanted shape is a tuple such as ``("time", 2)`` or ``(..., "m", "m")``. In the shape, a name
+    stands for any size above zero. If a name occurs twice, both sizes must be equal. An Ellipsis at
+    the front stands for any number of axes. `dtype` is float or complex. If True occurs among
+    numbers, it counts as 1.
     """
     try:
         plain = np.asanyarray(value)
@@ -275,12 +304,18 @@ def representable(name: str, values, remedy: str) -> None:
 
 
 def row(name: str, value, dtype: type = float) -> np.ndarray:
-    """Check one or more numbers, and return them as an array (n,); a single number gives n = 1."""
+    """Check one or more numbers, and return them as an array of shape (n,).
+
+    If `value` is a single number, n is 1.
+    """
     return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)
 
 
 def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
-    """Check two or more frequencies, rad/s: they must increase, from zero to Nyquist's at most."""
+    """Check that two or more frequencies (rad/s) increase.
+
+    All frequencies must lie between zero and the Nyquist frequency.
+    """
     omega = up_to_nyquist(name, array(name, value, ("frequency",)), Ts)
     if len(omega) < 2 or np.any(np.diff(omega) <= 0):
         raise ValueError(

@@ -103,7 +103,10 @@ class RegularisedInverse:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Poles of B inside the unit circle: the poles of P with linear-quadratic feedback."""
+        """Poles of B inside the unit circle.
+
+        These are the poles of P with linear-quadratic state feedback.
+        """
         # with P / b, whose b is one: otherwise the units of y would decide which digits are lost
         P = self.P * (1 / self.b)
         (A, B, C), D = balanced(P), P.D
@@ -126,7 +129,11 @@ class RegularisedInverse:
         return Composition(self, K)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute B at `omega` (rad/s), far from the ends of a trial, complex, shape (n, m, p)."""
+        """Compute the frequency response of B at `omega` (rad/s).
+
+        The result is complex and has the shape (n, m, p). B has this response far from the ends of
+        a trial.
+        """
         P = frequency_response(self.P, omega)
         return regularised_inverse(P, self.b) @ self.E * (self.scale[:, None] / self.scale_y)  # (B)
 
@@ -143,12 +150,19 @@ class RegularisedInverse:
 
 @lru_cache(maxsize=4)
 def _norm_optimal(base, samples):
-    """Return the norm-optimal law of P / b with weight one, for trials of this length."""
+    """Return the norm-optimal law for the plant P / b, with the weight one.
+
+    The law acts on trials with this number of samples.
+    """
     return NormOptimal(base.P * (1 / base.b), 1.0, samples)
 
 
 def quadratic_law(P, b) -> np.ndarray:
-    """Compute the response of B, (n, m, p), from responses of plants, (plants, n, p, m)."""
+    """Compute the frequency response of B from the frequency responses of plants.
+
+    The responses of the plants have the shape (plants, n, p, m). The result has the shape
+    (n, m, p).
+    """
     E = isometry(len(P), P.shape[-2])
     return regularised_inverse(np.concatenate(P, axis=1) / np.sqrt(len(P)), b) @ E  # (B)
 
@@ -169,7 +183,10 @@ def in_units(L, of_v, of_y):
 
 
 def extended(L, U, V):
-    """Return V L U', which is for P, from an L for U' P V, see :mod:`.response.directions`."""
+    """Return V L U', an operator for the plant P.
+
+    The operator L is made for the plant U' P V, see :mod:`.response.directions`.
+    """
     if isinstance(L, Composition):
         last, first = L.factors
         one = np.eye(first.rows)
@@ -181,13 +198,19 @@ def extended(L, U, V):
 
 
 def _composed(L, last, first):
-    """Make a composition with other factors; `last` is the factor that acts last."""
+    """Make a composition with other factors.
+
+    The factor `first` acts on the signal first, and the factor `last` acts on the result.
+    """
     B, K = (last, first) if L.K_first else (first, last)
     return replace(L, B=B, K=K)
 
 
 def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | None:
-    """Make B from models; None if B has more than `most` states, or rounding decides its poles."""
+    """Make B from models.
+
+    The result is None if B has more than `most` states, or if rounding decides the poles of B.
+    """
     try:
         for change in CHANGES:
             P, E = _of_all(models, b, structure, change)
@@ -202,7 +225,10 @@ def base_of_models(models, b, structure, most=np.inf) -> RegularisedInverse | No
 
 
 def _of_all(models, b, structure, change) -> Pooled:
-    """Make P and E of the base from all models; if B is diagonal, treat each channel by itself."""
+    """Make P and E of the base from all models.
+
+    If B is diagonal, each channel is treated by itself.
+    """
     if structure != "diagonal":
         return pooled(models, b, change)
     channels = []
@@ -233,10 +259,11 @@ def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFi
 
 
 def _shortened(B, counts, farthest):
-    """Truncate B to its coefficients of q^-N ... q^N, (2 N + 1, m, p), and return them and N.
+    """Truncate B to its coefficients of q^-N ... q^N; return the coefficients and N.
 
-    N is the least power of two for which the response of the lost coefficients, multiplied by
-    `counts`, is below NEGLIGIBLE_IN_M at each frequency. N is at most `farthest`.
+    The coefficients have the shape (2 N + 1, m, p). N is the least power of two for which the
+    response of the lost coefficients, multiplied by `counts`, is below NEGLIGIBLE_IN_M at each
+    frequency. N is at most `farthest`.
     """
     N, middle, coefficients = 1, POINTS // 2, coefficients_of(B)
     while True:
@@ -251,16 +278,19 @@ def _shortened(B, counts, farthest):
 
 
 def coefficients_of(response) -> np.ndarray:
-    """Compute a filter's coefficients of q^k for k = -n / 2, ..., n / 2 - 1, shape (n, p, m).
+    """Compute a filter's coefficients of q^k for k = -n / 2, ..., n / 2 - 1.
 
-    `response` is the filter's response at n / 2 + 1 frequencies, evenly spaced from zero to the
-    Nyquist frequency.
+    The coefficients have the shape (n, p, m). `response` is the filter's response at n / 2 + 1
+    frequencies, evenly spaced from zero to the Nyquist frequency.
     """
     return np.fft.fftshift(irfft(response.conj(), axis=0), axes=0)
 
 
 def _faded(response, number, cutoff, omega):
-    """Compute the response of a plant at omega; fade out measured samples above the cut-off."""
+    """Compute the response of a plant at omega.
+
+    If the response was measured, it may be faded out above the cut-off.
+    """
     if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
     last = response.omega[-1]

@@ -89,7 +89,10 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
 
 
 def append(path: Path, pieces: Iterable[bytes]) -> None:
-    """Append to a file, and wait until the disk has it; if an error occurs, restore the file."""
+    """Append to a file, and wait until the data are on the disk.
+
+    If an error occurs, the file is restored.
+    """
     size = path.stat().st_size
     try:
         _write(path, pieces, "ab")

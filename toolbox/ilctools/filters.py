@@ -41,13 +41,13 @@ WEIGHT_OF_CHANGE = 1e-2  # of ||v||^2 beside ||P v||^2, for v with little effect
 
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
-    """A low-pass filter Q without phase lag: a Butterworth filter, forward and backward in time.
+    """A low-pass filter Q without phase lag.
 
-    The response of Q is |H|^2, where H is the response of the Butterworth filter, equation (43) of
-    the paper. Scipy's and MATLAB's ``filtfilt`` filter in the same way: F. Gustafsson, Determining
-    the initial states in forward-backward filtering, IEEE Transactions on Signal Processing 44
-    (1996) 988-992. Unlike ``filtfilt``, this filter continues a signal beyond the trial as `ends`
-    says.
+    A Butterworth filter is applied forward and backward in time. The response of Q is |H|^2, where
+    H is the response of the Butterworth filter, equation (43) of the paper. Scipy's and MATLAB's
+    ``filtfilt`` filter in the same way: F. Gustafsson, Determining the initial states in
+    forward-backward filtering, IEEE Transactions on Signal Processing 44 (1996) 988-992. Unlike
+    ``filtfilt``, this filter continues a signal beyond the trial as `ends` says.
 
     Attributes
     ----------
@@ -100,7 +100,11 @@ class ZeroPhaseButterworth:
             )
 
     def _realised(self):
-        """Whether the gain is 1 at zero and 1/2 at the cut-off, and the response decays."""
+        """Whether rounding leaves the filter as designed.
+
+        The gain must be 1 at zero frequency and 1/2 at the cut-off, and the impulse response must
+        decay.
+        """
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
             try:
@@ -126,11 +130,17 @@ class ZeroPhaseButterworth:
         return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute the squared gain of the Butterworth filter at `omega` (rad/s), real, (n,)."""
+        """Compute the squared gain of the Butterworth filter at `omega` (rad/s).
+
+        The result is real and has the shape (n,).
+        """
         return np.abs(self(np.exp(1j * self.Ts * arguments.row("omega", omega))))  # (43)
 
     def __call__(self, z) -> np.ndarray:
-        """Compute Q(z) = H(z) H(1/z), with the Butterworth filter H, at any z except zero."""
+        """Compute Q(z) = H(z) H(1/z) at any z except zero.
+
+        H is the transfer function of the Butterworth filter.
+        """
         z = arguments.array("z", z, (...,), complex)
         H = [np.polyval(s[:3], x) / np.polyval(s[3:], x) for s in self.sections for x in (z, 1 / z)]
         return np.prod(H, axis=0)
@@ -166,7 +176,10 @@ def _continued(signal, before, after, ends):
 
 
 def _folded(line, before, samples, ends):
-    """Apply the transpose of `_continued`: add samples beyond a held end to the sample there."""
+    """Apply the transpose of `_continued` to a signal (..., time, channel).
+
+    If the signal is held at an end, the samples beyond this end are added to the sample at the end.
+    """
     inside, (first, last) = line[..., before : before + samples, :].copy(), ENDS[ends]
     inside[..., 0, :] += first * line[..., :before, :].sum(axis=-2)
     inside[..., -1, :] += last * line[..., before + samples :, :].sum(axis=-2)
@@ -203,7 +216,7 @@ class LearningOperator(Protocol):
 
     @property
     def weight_of_change(self) -> float:
-        """Weight of ||v||^2 in the norm ||P v||^2 + weight ||v||^2, in units of y^2 / v^2.
+        """The weight in the norm ||P v||^2 + weight ||v||^2, in units of y^2 / v^2.
 
         If commands have limits, the law projects v onto the limits in this norm. An operator may
         also have an attribute `weight_of_errors`, with the weights of the squares of P v, by time
@@ -211,18 +224,25 @@ class LearningOperator(Protocol):
         """
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute L at `omega` (rad/s), far from the ends of a trial, complex, shape (n, m, p)."""
+        """Compute the frequency response of L at `omega` (rad/s).
+
+        The result is complex and has the shape (n, m, p). L has this response far from the ends of
+        a trial.
+        """
 
     def apply(self, signal) -> np.ndarray:
-        """Filter errors (..., time, p), in units of y, to changes (..., time, m), in units of v.
+        """Compute the changes of v from the errors of a trial.
 
-        A ValueError is raised if the operator does not act on trials of this length.
+        The errors have the shape (..., time, p) and the units of y. The changes have the shape
+        (..., time, m) and the units of v. A ValueError is raised if the operator does not act on
+        trials of this length.
         """
 
     def apply_transposed(self, signal) -> np.ndarray:
-        """Apply the transpose of :meth:`apply` to signals (..., time, m); return (..., time, p).
+        """Apply the transpose of the matrix that represents :meth:`apply` on a trial.
 
-        On a trial, sum(y * apply(x)) = sum(apply_transposed(y) * x) for any x and y.
+        The argument has the shape (..., time, m), and the result has the shape (..., time, p). On a
+        trial, sum(y * apply(x)) = sum(apply_transposed(y) * x) for any x and y.
         """
 
 
@@ -303,10 +323,10 @@ class LearningFilter:
         return np.zeros(max(abs(self.first), abs(self.last)))
 
     def __matmul__(self, K: "LearningOperator") -> "Filter":
-        """Return the product of this filter and a filter K on its right, with the `ends` of K.
+        """Return the product of this filter and a filter K on its right.
 
-        If the right factor is another operator, such as the base B of :mod:`.base`, the result is
-        the composition K B, in which this filter is K.
+        The product has the `ends` of K. If the right factor is another operator, such as the base B
+        of :mod:`.base`, the result is the composition K B, in which this filter is K.
         """
         if not isinstance(K, LearningFilter):
             return Composition(K, self, K_first=False)
@@ -314,7 +334,10 @@ class LearningFilter:
         return LearningFilter(products.sum(axis=1), K.Ts, K.ends, self.first + K.first)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute the complex response L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, p)."""
+        """Compute the response L(exp(j omega Ts)) at `omega` (rad/s).
+
+        The result is complex and has the shape (n, m, p).
+        """
         angles = self.Ts * arguments.row("omega", omega)
         shifts = time_shifts(angles, min(self.order, LONG))
         if self.order > LONG:
@@ -355,10 +378,11 @@ class LearningFilter:
 
 @dataclass(frozen=True)
 class Composition:
-    """The product L = B K, in which K filters the error and B acts on the result, or L = K B.
+    """The product L = B K or L = K B of two learning operators.
 
-    ``B @ K`` and ``K @ B`` make a composition. If both factors are a LearningFilter, their product
-    is a LearningFilter instead.
+    In L = B K, the filter K acts on the error, and B acts on the result of K. ``B @ K`` and ``K @
+    B`` make a composition. If both factors are a LearningFilter, their product is a LearningFilter
+    instead.
     """
 
     B: LearningOperator
@@ -408,7 +432,10 @@ class Composition:
         return np.append(self.B.poles, self.K.poles)
 
     def frequency_response(self, omega) -> np.ndarray:
-        """Compute the complex response of L at `omega` (rad/s), shape (n, m, p)."""
+        """Compute the frequency response of L at `omega` (rad/s).
+
+        The result is complex and has the shape (n, m, p).
+        """
         last, first = self.factors
         return last.frequency_response(omega) @ first.frequency_response(omega)
 
@@ -427,7 +454,10 @@ Filter = LearningFilter | Composition  # operators that can be written as JSON
 
 
 def time_shifts(angles, order) -> np.ndarray:
-    """Compute z, z^2, ..., z^order for z = exp(j angles), in long doubles, (n, order)."""
+    """Compute z, z^2, ..., z^order for z = exp(j angles).
+
+    The result has the shape (n, order) and consists of long doubles.
+    """
     # At low frequencies these powers are nearly linearly dependent. Without the bound (46) of the
     # paper, a learning filter has coefficients of 1e9 that nearly cancel. Doubles would then leave
     # seven digits of its gain.
@@ -436,7 +466,7 @@ def time_shifts(angles, order) -> np.ndarray:
 
 
 def check_learning(L: LearningOperator, name: str = "L", rows=None, columns=None) -> None:
-    """Check that L has the rows and columns that the plant needs, and a response of this shape."""
+    """Check that L and its response have the rows and columns that the plant needs."""
     arguments.instance(name, L, LearningOperator)
     asked = (rows or L.rows, columns or L.columns)
     if (L.rows, L.columns) != asked:

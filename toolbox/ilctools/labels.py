@@ -35,7 +35,10 @@ def is_labelled(value) -> bool:
 
 
 def with_axes(name: str, value, axes):
-    """Return a labelled array with its axes in the order of `axes`; other values are unchanged."""
+    """Return a labelled array with its axes in the order of `axes`.
+
+    Other values are returned unchanged.
+    """
     if not is_labelled(value):
         return value
     array = xr.DataArray(value)
@@ -84,7 +87,10 @@ def in_radians(name: str, omega) -> np.ndarray:
 
 
 def table_of(name: str, P, omega):
-    """Convert a labelled P to python-control's response data; check frequencies as in `on`."""
+    """Convert a labelled P to python-control's response data.
+
+    The frequencies are checked as in `on`.
+    """
     array, omega = on(name, P, omega, (FREQUENCY, OUTPUT, INPUT))
     if not is_labelled(array) or omega is None:
         return array, omega

@@ -82,7 +82,10 @@ def schur_form(system: Model):
 
 
 def by_substitution(T, B, C, D, z) -> np.ndarray:
-    """Compute C (zI - T)^-1 B + D for triangular T and all z, shape (n, outputs, inputs)."""
+    """Compute C (zI - T)^-1 B + D for a triangular matrix T and n numbers z.
+
+    The result has the shape (n, outputs, inputs).
+    """
     n, m = B.shape
     X = np.empty((n, m * len(z)), dtype=complex)
     for i in reversed(range(n)):  # (zI - T) X = B, from the last row up
@@ -95,7 +98,9 @@ def by_substitution(T, B, C, D, z) -> np.ndarray:
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
-    """Compute the states x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), shape (time, n).
+    """Compute the states x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p).
+
+    The result has the shape (time, n).
 
     See Also
     --------
@@ -123,7 +128,10 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
 
 
 def from_rest(model: control.StateSpace, w) -> np.ndarray:
-    """Simulate a model from rest: outputs (time, p) from inputs (time, m) of a trial."""
+    """Compute the outputs of a model in a trial that begins at rest.
+
+    The inputs have the shape (time, m), and the outputs have the shape (time, p).
+    """
     direct = w @ model.D.T
     if not model.nstates:
         return direct
@@ -142,14 +150,18 @@ def on_trial(samples: int, of_x, of_d, delay: int = 0) -> sparse.csc_array:
 
 
 def dynamics_on_trial(samples: int, A, B) -> sparse.csc_array:
-    """Make the matrix that computes x(p) - A x(p - 1) - B d(p - 1), which is zero in a trial."""
+    """Make the matrix that computes x(p) - A x(p - 1) - B d(p - 1).
+
+    The states and inputs of a trial make this difference zero.
+    """
     return on_trial(samples, np.eye(len(A)), np.zeros_like(B)) - on_trial(samples, A, B, delay=1)
 
 
 def unreachable_modes(A, B) -> np.ndarray:
-    """Compute left eigenvectors (n, r) of modes that no input can excite, by the Hautus test.
+    """Compute the left eigenvectors of modes that no input can excite.
 
-    Both blocks of [lambda I - A, B] are scaled to norm one. A mode is unreachable if the smallest
+    The eigenvectors have the shape (n, r). The modes are found by the Hautus test. For this test,
+    both blocks of [lambda I - A, B] are scaled to norm one. A mode is unreachable if the smallest
     singular value of this matrix is below SILENT. For unobservable modes pass A', C'.
     """
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
@@ -166,7 +178,7 @@ def unreachable_modes(A, B) -> np.ndarray:
 
 
 def reachable_basis(A, B) -> np.ndarray:
-    """Compute an orthonormal basis of the reachable subspace, shape (n, r)."""
+    """Compute an orthonormal basis of the reachable subspace; it has the shape (n, r)."""
     basis = np.eye(len(A))
     while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
         silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
@@ -274,7 +286,10 @@ def model_and_response(name: str, plant, omega, Ts: float):
 
 
 def _samples_on(name, P, omega, nyquist):
-    """Return the samples of python-control's response data; refuse frequencies other than omega."""
+    """Return the samples of python-control's response data.
+
+    If the data have other frequencies than omega, they are refused.
+    """
     own = np.minimum(P.omega, nyquist)  # rounding may take the last one above Nyquist's
     if len(own) != len(omega) or not np.allclose(own, omega, rtol=1e-9, atol=0):
         raise ValueError(
@@ -286,7 +301,10 @@ def _samples_on(name, P, omega, nyquist):
 
 
 def refuse_foreign(name: str, value) -> None:
-    """Refuse models that are not linear models of python-control; the error names the remedy."""
+    """Refuse a model that is not a linear model of python-control.
+
+    The error names the remedy.
+    """
     remedy, models = None, control.StateSpace | control.TransferFunction
     if isinstance(value, signal.lti | signal.dlti):
         remedy = f"for s = {name}.to_ss(), pass control.ss(s.A, s.B, s.C, s.D, s.dt)"
@@ -305,7 +323,10 @@ def refuse_foreign(name: str, value) -> None:
 
 
 def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
-    """Return a plant in discrete time as a state-space model; realise a transfer function."""
+    """Return a plant in discrete time as a state-space model.
+
+    A transfer function is realised.
+    """
     refuse_foreign(name, plant)
     if isinstance(plant, control.FrequencyResponseData):
         raise ValueError(
@@ -328,7 +349,10 @@ def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
 
 
 def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
-    """Compute the Markov parameters D, C B, C A B, ... of a model, (samples, outputs, inputs)."""
+    """Compute the Markov parameters D, C B, C A B, ... of a model.
+
+    The result has the shape (samples, outputs, inputs).
+    """
     h = np.empty((samples, model.noutputs, model.ninputs))
     h[0], X = model.D, model.B
     for p in range(1, samples):
@@ -337,9 +361,10 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def balanced(model, *further):
-    """Return A, B and C (with `further` rows) of a model, with states scaled to similar size.
+    """Return A, B and C of a model whose states are scaled to similar size.
 
-    No entry of A is then large merely because of the unit of a state.
+    If `further` rows are passed, they are appended to C. After the scaling, no entry of A is large
+    merely because of the unit of a state.
     """
     # The errors of a Schur form and of sparse factors are relative to the largest entry of A. If
     # one state is counted in units of 1e-8, the others lose eight digits.

@@ -102,7 +102,7 @@ class NormOptimal:
         return 1.0 if self.errors is None else self.errors
 
     def __getstate__(self):
-        """Return all fields without the factors, which are faster to compute than to read."""
+        """Return all fields except the factors, which are faster to compute than to read."""
         return {name: value for name, value in vars(self).items() if name != "_factors"}
 
     @property
@@ -146,7 +146,10 @@ class NormOptimal:
         return TrialLeastSquares(*self._states, self.P.D, self.weight, self.samples, self.errors)
 
     def apply(self, signal) -> np.ndarray:
-        """Compute the minimising change (..., samples, m) for an error (..., samples, p)."""
+        """Compute the minimising change of v for an error.
+
+        The error has the shape (..., samples, p), and the change has the shape (..., samples, m).
+        """
         shape = ..., self.samples, self.columns
         signal = arguments.array(f"signal, for an L of samples = {shape[1]},", signal, shape)
         signal = signal * self.weight_of_errors
@@ -171,7 +174,10 @@ class NormOptimal:
 
 
 def regularised_inverse(P, b) -> np.ndarray:
-    """Compute (P* P + b^2 I)^-1 P* of responses P, (n, p, m), by QR, without squaring P."""
+    """Compute (P* P + b^2 I)^-1 P* from the frequency responses P, shape (n, p, m).
+
+    A QR decomposition avoids the product P* P, which would lose digits.
+    """
     p, m = P.shape[1:]
     below = np.broadcast_to(b * np.eye(m), (len(P), m, m))
     Q, R = np.linalg.qr(np.concatenate([P, below], axis=1))

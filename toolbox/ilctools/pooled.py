@@ -57,10 +57,11 @@ def isometry(copies, size) -> np.ndarray:
 
 
 def pooled(models, b, change) -> Pooled:
-    """Make P and E from several models; leave out states as long as M changes by at most `change`.
+    """Make P and E from several models, with as few states as possible.
 
-    P* P is then compared, at many frequencies, with the mean of P_k* P_k over the models P_k. If
-    the difference is larger than expected, all states are kept.
+    States are left out as long as M changes by at most `change`. At many frequencies, P* P is
+    then compared with the mean of P_k* P_k over the models P_k. If the difference is larger than
+    expected, all states are kept.
     """
     count, (p, m) = len(models), models[0].shape
     if count == 1:
@@ -79,7 +80,10 @@ def pooled(models, b, change) -> Pooled:
 
 
 def _with_few_states(models, error) -> Pooled:
-    """Join models in groups; the error of P is at most `error` for each level of groups."""
+    """Join models in groups, and the results in groups again, until one model is left.
+
+    The error of P is at most `error` for each level of groups.
+    """
     share = 1 / np.sqrt(len(models))
     groups = [Pooled(model * share, np.eye(model.noutputs) * share) for model in models]
     while len(groups) > 1:
@@ -95,7 +99,10 @@ def _square(P):
 
 
 def _joined(group, error) -> Pooled:
-    """Join pooled plants and reduce states and outputs; the error of P is at most `error`."""
+    """Join pooled plants, and reduce the states and outputs of the result.
+
+    The error of P is at most `error`.
+    """
     P = control.append(*(part.P for part in group))
     P *= np.tile(np.eye(group[0].P.ninputs), (len(group), 1))
     A, B, C = _truncated(*balanced(P), error)
@@ -106,7 +113,10 @@ def _joined(group, error) -> Pooled:
 
 
 def _truncated(A, B, C, error):
-    """Balance a model and leave out states; the error of the response is at most `error`."""
+    """Balance a model, and leave out states.
+
+    The error of the frequency response is at most `error`.
+    """
     X, Y = _gramian_factor(A, B), _gramian_factor(A.T, C.T)
     U, S, Vh = np.linalg.svd(Y.T @ X)
     lost = 2 * np.cumsum(S[::-1])[::-1]  # without this state and all smaller ones

@@ -56,10 +56,10 @@ class Gains(NamedTuple):
 
 
 def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
-    """Compute K and T^-1 by (2) to (4), backwards from the end until S no longer changes.
+    """Compute K and T^-1 by (2) to (4), backwards from the end of a trial.
 
-    If weights `errors`, (samples, p), are passed, |y|^2 in (1) becomes sum_i errors_i y_i^2. Gains
-    are then computed for all samples.
+    The recursion stops when S no longer changes. If weights `errors`, (samples, p), are passed,
+    |y|^2 in (1) becomes sum_i errors_i y_i^2. Gains are then computed for all samples.
     """
     n, m = B.shape
     above = np.block([[np.sqrt(weight) * np.eye(m), np.zeros((m, n))], [D, C]])
@@ -74,7 +74,10 @@ def gains(A, B, C, D, weight: float, samples: int, errors=None) -> Gains:
 
 
 def _until_stationary(above, dynamics, samples) -> np.ndarray:
-    """Compute T and T K of the last samples, backwards until S no longer changes."""
+    """Compute T and T K of the last samples of a trial.
+
+    The recursion runs backwards, and stops when S no longer changes.
+    """
     n = len(dynamics)
     U, S, count, parts = np.zeros((n, n)), np.zeros((n, n)), 0, []
     stationary = False
@@ -109,7 +112,10 @@ def _backwards(above, dynamics, U, count) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TrialLeastSquares:
-    """The least-squares problem (1) for trials of N samples; its factors serve any f and g."""
+    """The least-squares problem (1) for trials of N samples.
+
+    The factors of the problem are computed once, and are the same for any f and g.
+    """
 
     def __init__(self, A, B, C, D, weight: float, samples: int, errors=None):
         self.A, self.B, self.samples = A, B, samples
@@ -137,7 +143,10 @@ class TrialLeastSquares:
             yield part, states, changes
 
     def _forced(self, signal, to_x, to_d) -> np.ndarray:
-        """Compute u of (6), (trials, samples, m), for the f and g of :meth:`solved`."""
+        """Compute u of (6) for the f and g of :meth:`solved`.
+
+        The result has the shape (trials, samples, m).
+        """
         u = np.empty((len(signal), self.samples, self.B.shape[1]))
         s = np.zeros((len(signal), len(self.A)))
         for part in reversed(self.parts):
@@ -160,9 +169,10 @@ class TrialLeastSquares:
 
 
 def _substituted(F, right, trans) -> np.ndarray:
-    """Solve x(p + 1) - F(p) x(p) = right(p + 1), or its transpose, for x (trials, samples, n).
+    """Solve x(p + 1) - F(p) x(p) = right(p + 1), or the transposed equation, for x.
 
-    The matrix of the whole piece is lower triangular, with ones on its diagonal.
+    The solution has the shape (trials, samples, n). The matrix of the whole piece is lower
+    triangular, with ones on its diagonal.
     """
     if not right.size:
         return right
@@ -176,5 +186,8 @@ def _substituted(F, right, trans) -> np.ndarray:
 
 
 def _times(signal, matrices) -> np.ndarray:
-    """Compute signal(p)' M(p) at each sample p, for signals (trials, samples, k)."""
+    """Compute signal(p)' M(p) at each sample p.
+
+    The signal has the shape (trials, samples, k).
+    """
     return np.einsum("tpk,pkl->tpl", signal, matrices)

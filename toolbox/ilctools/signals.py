@@ -31,11 +31,11 @@ SIGNALS = {
 
 @dataclass(frozen=True)
 class Signals:
-    """Sampling period (s), names and units of signals; a property that is None is not known.
+    """Sampling period (s), names and units of signals.
 
-    Outputs, learned inputs and controls must be the same for any two parties that know them, see
-    :func:`check_match`. Labels are the names of the signals of models. Two models may have
-    different labels, but not the same labels in another order.
+    If a property is None, it is not known. Outputs, learned inputs and controls must be the same
+    for any two parties that know them, see :func:`check_match`. Labels are the names of the signals
+    of models. Two models may have different labels, but not the same labels in another order.
     """
 
     Ts: float | None = None
@@ -60,7 +60,10 @@ class Signals:
 
     @classmethod
     def of_plant(cls, plant, Ts: float) -> "Signals":
-        """Read labels and units of a plant in any form; an array only has the period Ts."""
+        """Read labels and units of a plant in any form.
+
+        If the plant is an array, only the period Ts is known.
+        """
         plant = getattr(plant, "loop", plant)  # of a measured response
         Ts, units = getattr(plant, "Ts", Ts), getattr(plant, "units", {})
         learned = None if getattr(plant, "one_for_one", True) else plant.learned
@@ -68,7 +71,10 @@ class Signals:
 
 
 def period_of(trials) -> float:
-    """Return the sampling period of trials, s; refuse times that contradict this period."""
+    """Return the sampling period of trials, in seconds.
+
+    If the times of the samples contradict this period, the trials are refused.
+    """
     Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
     if "time" in trials.coords:
         arguments.check_times("trials", trials.time.values, Ts)
@@ -85,10 +91,10 @@ def dataset(
     learned: Sequence[str] = (),
     **signals,
 ) -> xr.Dataset:
-    """Make trials from their signals, shape (trial, time, channel), with coordinates and units.
+    """Make a dataset of trials from their signals, with coordinates and units.
 
-    If v is not added to the references, one channel for each output, `learned` names the inputs
-    that v is added to.
+    The signals have the shape (trial, time, channel). If the channels of v are not added one by one
+    to the references, `learned` names the inputs to which these channels are added.
     """
     trials, samples, p = signals["y"].shape
     if "reference" in signals:
@@ -112,8 +118,9 @@ def dataset(
 
 
 def with_points(trials: xr.Dataset, points) -> xr.Dataset:
-    """Mark the points (time, p) of trials at which the error counts; None stands for all points.
+    """Mark the points of trials at which the error counts.
 
+    The marks `points` have the shape (time, p). If `points` is None, the error counts everywhere.
     The coordinate `asked` holds the points. At all other points, the error is set to zero.
     """
     if points is None:
@@ -124,12 +131,18 @@ def with_points(trials: xr.Dataset, points) -> xr.Dataset:
 
 
 def points_of(trials: xr.Dataset) -> np.ndarray | None:
-    """Return the points (time, p) of trials at which the error counts; None if all points count."""
+    """Return the points of trials at which the error counts, shape (time, p).
+
+    If the error counts everywhere, None is returned.
+    """
     return trials[ASKED].values if ASKED in trials.coords else None
 
 
 def roles_of(of_inputs: bool) -> dict[str, str]:
-    """Return the role of each signal's channels; with `of_inputs`, the channels of v are inputs."""
+    """Return the role of each signal's channels.
+
+    If `of_inputs` is true, the channels of v are inputs.
+    """
     return SIGNALS | {"v": "input"} if of_inputs else SIGNALS
 
 
@@ -153,7 +166,7 @@ def check_match(**parties) -> None:
 
 
 def _parts(whose, party):
-    """Return the known properties of a party, each as a value and in words for an error."""
+    """Return each known property of a party, as a value and in words for an error message."""
     outputs, learned = getattr(party, "outputs", None), getattr(party, "learned", None)
     labels = _labels_of(party)
     values = {

@@ -6,7 +6,10 @@ from ilctools import arguments
 
 
 def labels(value: Mapping[str, str] | None, signals: Sequence[str]) -> dict[str, str]:
-    """Return the unit of each signal, from a dict of some units; "" stands for an unknown unit."""
+    """Return the unit of each signal, from a dict that holds the units of some signals.
+
+    If the unit of a signal is unknown, the unit is "".
+    """
     units = dict.fromkeys(signals, "") | arguments.by_name("units", value, signals)
     for signal, label in units.items():
         arguments.instance(f"units[{signal!r}]", label, str)

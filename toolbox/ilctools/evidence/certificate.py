@@ -78,13 +78,19 @@ class Certificate:
         return self.peaks["on the grid"].sigma
 
     def on_grid(self, claim: Claim) -> float:
-        """Return the largest sigma_max on the grid of the matrix, M or L, that a claim bounds."""
+        """Return the largest sigma_max of M or of L on the grid.
+
+        The claim says which of the two matrices it bounds.
+        """
         if claim.matrix == "M":
             return self.grid_M
         return float(self.sigma_L[claim.holds_at(self.problem_on_grid.omega)].max(initial=0))
 
     def anywhere(self, claim: Claim) -> float:
-        """Return the largest sigma_max over all frequencies of the matrix, M or L, in a claim."""
+        """Return the largest sigma_max of M or of L over all frequencies.
+
+        The claim says which of the two matrices it bounds.
+        """
         if claim.matrix == "M":
             return self.all_M
         return peak_of_L(self.scaled_filter, claim.lowest)[0] if claim.lowest else self.all_L
@@ -99,10 +105,10 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """An upper bound on sigma_max(M) over all frequencies; an estimate if `proven` is False.
+        """An upper bound on sigma_max(M) over all frequencies.
 
-        A proven bound exceeds the peak of sigma_max(M) by at most a fraction PEAK_TOLERANCE of the
-        peak.
+        If `proven` is False, the bound is only estimated. A proven bound exceeds the peak of
+        sigma_max(M) by at most a fraction PEAK_TOLERANCE of the peak.
         """
         return self.peak.sigma
 
@@ -116,12 +122,18 @@ class Certificate:
 
     @property
     def proven(self) -> bool:
-        """Whether `all_M` is proven. If P has a radius, or P or Q is a table, it is an estimate."""
+        """Whether `all_M` is proven.
+
+        If P has a radius, or if P or Q is a table, `all_M` is an estimate.
+        """
         return "estimated" not in self.peaks
 
     @property
     def highest_peak(self) -> Peak:
-        """The highest peak of sigma_max(M) at any frequency: proven, estimated or assumed."""
+        """The highest peak of sigma_max(M) at any frequency.
+
+        This peak may be proven, estimated or assumed.
+        """
         return self._highest_without()
 
     @property
@@ -189,7 +201,7 @@ class Certificate:
 
     @cached_property
     def predicted(self) -> dict[int, float] | None:
-        """Predicted RMS of the error by the number of the trial, see :func:`.predicted_rms`.
+        """Predicted RMS of the error in each trial, see :func:`.predicted_rms`.
 
         The prediction is None if the problem has no reference.
         """
@@ -199,12 +211,12 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Difference between value and lower bound, divided by :meth:`.Problem.gap_scale`."""
+        """The objective minus its lower bound, divided by :meth:`.Problem.gap_scale`."""
         return (self.value - self.lower_bound) / self.problem_on_grid.gap_scale(self.value)
 
     @property
     def failures(self) -> list[Finding]:
-        """The claims that do not hold, as findings; the list is empty if all claims hold."""
+        """The claims that do not hold, as a list of findings."""
         problem = self.problem
         rooms = {"on the grid": 1 + VIOLATION_ACCEPTED}
         if problem.bounds.everywhere:
@@ -219,7 +231,10 @@ class Certificate:
         return [found for times, found in judged if found.value > found.limit * times]
 
     def _judged(self, code, claim) -> Finding:
-        """Compare a claim's limit with the largest value on the grid, or at all frequencies."""
+        """Return a finding that compares the limit of a claim with the largest value.
+
+        The value is taken on the grid, or over all frequencies, as `code` says.
+        """
         value = self.on_grid(claim) if code == "on the grid" else self.anywhere(claim)
         place = ""
         if claim.matrix == "M":
@@ -250,7 +265,9 @@ class Certificate:
 
     @cached_property
     def settled_trial(self) -> SettledTrial:
-        """The norm of a long trial, the largest among the plants; NaN unless P and Q are models.
+        """The largest norm of a long trial among the plants.
+
+        If a plant or Q is not a model, the value is NaN.
 
         The norm of a trial is the largest factor by which one trial can increase the distance of v
         from its limit, see :func:`.trial_norm`.
@@ -282,22 +299,25 @@ class Certificate:
 
         The lower bound of the objective holds for any filter of this structure and order that meets
         the bounds on the grid. The limits on the grid are lower than the stated limits, so that the
-        stated limits also hold between the frequencies of the grid and above them. If L = B K with
-        the `base` B, the lower bound holds for this B and any filter K with a gain of at most
-        `K_MAX`. Without L_max, the lower bound holds for all L with which the gain of Q P L is at
-        most `MOST_GAIN`, see :mod:`.problem.problem`. If the filter was not optimised, the lower
-        bound is NaN.
+        stated limits also hold between the frequencies of the grid and above the last of these
+        frequencies. If L = B K with the `base` B, the lower bound holds for this B and any filter K
+        with a gain of at most `K_MAX`. Without L_max, the lower bound holds for all L with which
+        the gain of Q P L is at most `MOST_GAIN`, see :mod:`.problem.problem`. If the filter was not
+        optimised, the lower bound is NaN.
         """
         return report.details(self)
 
     @property
     def rate_above(self) -> float:
-        """The rate without the peaks below the first sample of P, which are only assumed."""
+        """The rate without peaks below the first sample of P, where P is only assumed."""
         return self._highest_without(BELOW).sigma
 
 
 def _alike(problem):
-    """Yield a finding if one direction of P has far less gain than another up to the cut-off."""
+    """Yield a finding if P has far less gain in one direction than in another.
+
+    Only frequencies up to the cut-off count.
+    """
     cutoff = problem.lowpass.cutoff
     below = problem.omega <= max(cutoff, problem.omega[0])
     values = np.linalg.svd(problem.P[below], compute_uv=False)
@@ -330,6 +350,9 @@ def check(
 
 
 def certify(problem: Problem, grid: Problem, solution: Solution) -> Certificate:
-    """Certify the filter of a solution; the solution's multipliers only give the lower bound."""
+    """Certify the filter of a solution.
+
+    The multipliers of the solution are used only for the lower bound on the objective.
+    """
     bound = lower_bound(grid, solution.U, solution.V, solution.cuts)
     return check(problem, problem.scaled_filter(solution.coefficients), grid, bound)

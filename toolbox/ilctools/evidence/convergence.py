@@ -1,4 +1,4 @@
-"""Do the trials converge, and how fast? Two numbers of M = Q (I - P L), on a grid.
+"""Do the trials converge, and how fast? Two numbers of M = Q (I - P L) give the answer.
 
 M maps the error of one trial to the error of the next trial. Its largest sigma_max over the
 frequencies is the gamma of Lemma 1 of the paper. If gamma is below one, the error converges
@@ -46,7 +46,10 @@ class Convergence:
 
     @property
     def converges(self) -> bool:
-        """Whether it is certain that the trials converge; single trials may increase the error."""
+        """Whether it is certain that the trials converge.
+
+        Single trials may still increase the error.
+        """
         return self.monotone or (not self.uncertain and bool(np.max(self.spectral_radius) < 1))
 
     def mean(self, band=None) -> float:

@@ -146,8 +146,8 @@ def trial_norm(
     -------
     norm : float
         Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. If P has more inputs than outputs, only
-        those v count that the law can learn, see :func:`learned_basis`. If the norm is below one
-        for trials = 1, v converges monotonically. The norm is computed by Lanczos iteration, which
+        the v that the law can learn count, see :func:`learned_basis`. If the norm is below one for
+        trials = 1, v converges monotonically. The norm is computed by Lanczos iteration, which
         approaches the norm from below. If the iteration does not converge, a RuntimeError is
         raised. If v has few values, an SVD replaces the iteration. If v has up to 1000 values, an
         SVD replaces an iteration that takes long.
@@ -204,7 +204,7 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
 
 
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
-    """Compute the largest singular value of T, the unit vector x of this gain, and T x."""
+    """Compute the largest singular value of T, its right singular vector x, and T x."""
     size = T.shape[1]
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
@@ -223,7 +223,7 @@ def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 class SettledTrial(NamedTuple):
-    """The length of a trial in which all plants settle, and its norm, see `trial_norm`."""
+    """The length and the norm of a trial in which all plants settle, see `trial_norm`."""
 
     samples: int  # zero if a plant or Q is known by samples only
     norm: float  # the largest :func:`trial_norm` among the plants
@@ -249,7 +249,7 @@ def settled_trial(plants, Q: ZeroPhaseButterworth, L: Filter) -> SettledTrial:
 
 
 def _delay(P):
-    """Return the largest delay, in samples, among the entries of a model that are not zero."""
+    """Return the largest delay, in samples, among the nonzero entries of a model."""
     answers = impulse_response(P, LONGEST_TRIAL) != 0
     return answers.argmax(axis=0).max()
 

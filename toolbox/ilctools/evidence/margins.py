@@ -11,15 +11,15 @@ the problem has a radius around each plant, the limits hold for all plants withi
 radius changes with the gain and the time scale of its plant.
 
 M = Q (I - P L) can have a narrow peak wherever P or L changes within a narrow band. P changes
-quickly at a lightly damped mode, which is a pole of P. If L = B K with the regularised inverse B of
-P, L changes quickly at an antiresonance of P, where L has poles. Q and L are therefore computed on
-a grid of frequencies between which the phase of the all-pass with their poles changes in small
-steps, see :mod:`.response.phase`. For each plant that is a model, such a grid is made from the
-poles of the plant. Cubic splines interpolate Q and L between the frequencies of their grid. M is
-also computed at the tops of its peaks. The top of a peak is estimated by the parabola through three
-neighbouring points. The poles of a plant that is known as a table are not known. A mode of a table
-that is narrower than a step of omega is therefore not seen. Above the last sample of a table, P has
-the same size as in the certificate, with any phase. The margin of the time scale leaves out the
+quickly near a pole with little damping. If L = B K with the regularised inverse B of P, L changes
+quickly at an antiresonance of P, where L has poles. Q and L are therefore computed on a grid of
+frequencies between which the phase of the all-pass with their poles changes in small steps, see
+:mod:`.response.phase`. For each plant that is a model, such a grid is made from the poles of the
+plant. Cubic splines interpolate Q and L between the frequencies of their grid. M is also computed
+at the tops of its peaks. The top of a peak is estimated by the parabola through three neighbouring
+points. The poles of a plant that is known as a table are not known. A mode of a table that is
+narrower than a step of omega is therefore not seen. Above the last sample of a table, P has the
+same size as in the certificate, with any phase. The margin of the time scale leaves out the
 frequencies that would use a table above its last sample.
 
 For each margin, the search starts at no change and goes outwards in steps, until sigma_max is at
@@ -140,7 +140,11 @@ class Filters(NamedTuple):
 
 
 def _filters(problem, L) -> Filters:
-    """Make splines of Q and L from zero, or the first sample of P, to the Nyquist frequency."""
+    """Make splines of Q and L up to the Nyquist frequency.
+
+    If all plants are models, the splines begin at zero frequency. Otherwise they begin at the first
+    sample of P.
+    """
     lowpass, poles = problem.lowpass, [L.poles]
     if isinstance(lowpass, ZeroPhaseButterworth):
         poles.append(lowpass.poles)
@@ -199,7 +203,10 @@ class Perturbed:
         return omega, self._at(slower * omega)
 
     def _at(self, omega):
-        """Return P and its radius at any frequencies; outside the known range they are constant."""
+        """Return P and its radius at any frequencies.
+
+        Outside the range in which P is known, P and the radius are constant.
+        """
         there = np.clip(omega, _ends(self.response)[0], self.filters.omega[-1])
         return self.response.anywhere(self.number, there)
 

@@ -79,7 +79,7 @@ def _parts(problem, U, V, cuts):
 
 
 def _projected(problem, parts):
-    """Project the multipliers N of parts (F, T, N, at) to be orthogonal to all changes of L."""
+    """Make the multipliers N of parts (F, T, N, at) orthogonal to all changes of L."""
     m, shapes = problem.channels, [T.shape for _, T, _, _ in parts]
     T = np.concatenate([T.reshape(-1, m) for _, T, _, _ in parts])
     N = np.concatenate([N.reshape(-1, m) for _, _, N, _ in parts], dtype=complex)
@@ -104,7 +104,9 @@ def _nuclear_norms(N):
 
 
 def dual_norm(N) -> np.ndarray:
-    """Return upper bounds on nu(N), shape (c,): the largest Re tr(N^H G) over all G bounded by one.
+    """Return upper bounds on the dual norm nu(N) of each matrix N, shape (c,).
+
+    nu(N) is the largest Re tr(N^H G) over all G that are bounded by one.
 
     If the plants have no radius, nu is the nuclear norm. With a radius, G = [G_1; G_2] is bounded
     by one if positive shares d_1 + d_2 = 1 exist with sum_k G_k^H G_k / d_k <= I. N_1 and N_2 are
@@ -147,7 +149,7 @@ def _costs(N, t):
 
 
 def _changes(T, angles, order):
-    """Return orthonormal rows that span all changes of T L by the coefficients of L."""
+    """Return orthonormal rows that span all changes of T L that coefficients of L can cause."""
     # The powers of z are nearly dependent at low frequencies. Arnoldi's process avoids these
     # powers. It multiplies the last rows by z - 1 and makes the result orthogonal to all earlier
     # rows. The resulting rows span the same space, and doubles represent them accurately enough.

@@ -84,7 +84,9 @@ BELOW = "assumed below the first sample"
 
 
 def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
-    """Find the peak of sigma_max(L) over all frequencies from `lowest` on, and its frequency.
+    """Find the peak of sigma_max(L) over all frequencies from `lowest` on.
+
+    Return the peak and its frequency.
 
     If `lowest` is zero, the peak is proven. Otherwise the peak is estimated by the largest value on
     a grid and at the tops of the local maxima between its points. The steps of the grid are
@@ -103,7 +105,10 @@ def peak_of_L(L: LearningFilter, lowest=0.0) -> tuple[float, float]:
 
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
-    """Find a proven bound on the peak of sigma_max(M) for a model P, and its frequency, rad/s."""
+    """Find a proven bound on the peak of sigma_max(M) for a model P.
+
+    Return the bound, and the frequency of the peak in rad/s.
+    """
 
     def sigma(omega):
         of_P = in_parts(partial(frequency_response, P), omega, P.B.size)
@@ -118,7 +123,9 @@ def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float
 
 
 def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
-    """Find an upper bound on the peak of a function sigma(omega), and its frequency, rad/s.
+    """Find an upper bound on the peak of a function sigma(omega).
+
+    Return the bound, and the frequency of the peak in rad/s.
 
     `sigma` is the largest singular value of a system with these `poles`.
     """
@@ -139,7 +146,10 @@ def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
 
 
 def in_parts(function, points, size):
-    """Evaluate a function in parts that fit into memory, if each point takes `size` numbers."""
+    """Evaluate a function at many points, in parts that fit into memory.
+
+    For each point, the function stores `size` numbers.
+    """
     parts = np.array_split(points, 1 + len(points) * size // CHUNK)
     return np.concatenate([function(part) for part in parts])
 
@@ -154,12 +164,12 @@ class Peak:
 
 
 def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
-    """Find the highest peaks of sigma_max(M), one for each way in which a peak can be known.
+    """Find the highest peaks of sigma_max(M), one for each way in which peaks are computed.
 
     The keys of the returned dict are "proven", `DEAF`, "estimated", `BELOW` and "assumed". A key
-    without peaks is left out. If a plant is a model and Q is a filter, the peak for this plant
-    without its radius is "proven". Where P has no gain, sigma_max(M) is |Q| for any L. The key of a
-    proven peak at such a frequency is `DEAF`.
+    without peaks is left out. If a plant is a model and Q is a filter, the peak for this plant,
+    computed without its radius, has the key "proven". Where P has no gain, sigma_max(M) is |Q| for
+    any L. The key of a proven peak at such a frequency is `DEAF`.
 
     If P or Q is known by samples, or if P has a radius, peaks come from a dense grid. Between the
     first and the last frequency of P, the key is "estimated". Below the first frequency, the key is
@@ -180,7 +190,10 @@ def peaks_of_M(problem: Problem, L, level) -> dict[str, Peak]:
 
 
 def estimated_peaks(problem: Problem, L, level, k):
-    """Yield the peaks of plant k between, below and above P's frequencies, each with its key."""
+    """Yield pairs of a key and a peak of plant k, for the peaks that are not proven.
+
+    The keys say whether a peak is between, below or above the frequencies of P.
+    """
     response = problem.response
     sigma_M = partial(_sigma_M, problem, L, level, k)
     omega, sigma = with_tops(sigma_M, dense_grid(response, k, L), NEAR_LEVEL * level)
@@ -208,7 +221,10 @@ def _sigma_M(problem, L, level, k, omega):
 
 
 def passes(P, L, peak) -> bool:
-    """Return whether P L has a gain at a peak; if not, sigma_max(M) is |Q| there for any L."""
+    """Return whether P L has a gain at a peak.
+
+    If P has no gain at the peak, sigma_max(M) is |Q| there for any L.
+    """
     if not 1 - PASSES_NOTHING <= peak.sigma <= 1 + PEAK_TOLERANCE:
         return True
     [of_P], [of_L] = frequency_response(P, [peak.omega]), L.frequency_response([peak.omega])
@@ -259,7 +275,10 @@ def dense_grid(response: Response, number, L) -> np.ndarray:
 
 
 def highest(peaks: list[Peak]) -> Peak:
-    """Return the highest of several peaks; among equal peaks, the peak of the first plant."""
+    """Return the highest of several peaks.
+
+    If several peaks are equally high, the peak of the first plant is returned.
+    """
     sigma = max(peak.sigma for peak in peaks)
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     return replace(min(level, key=lambda peak: peak.plant), sigma=sigma)

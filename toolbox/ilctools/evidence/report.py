@@ -57,7 +57,7 @@ def details(certificate) -> str:
 
 
 def _rate(certificate):
-    """Return the line with the rate, the plants for which it holds, and its frequency."""
+    """Return the line with the rate, the frequency of the rate, and the plants of this rate."""
     problem, peak = certificate.problem, certificate.highest_peak
     near = certificate.problem_on_grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
     at = np.append(near, peak.omega).min()
@@ -71,7 +71,10 @@ def _rate(certificate):
 
 
 def _whom(problem):
-    """Name the plants for which the rate holds; empty for a single plant without a radius."""
+    """Name the plants for which the rate holds.
+
+    For a single plant without a radius, the text is empty.
+    """
     count = len(problem.plants)
     of = f" of {count} plants" if count > 1 else ""
     if problem.radius is not None:
@@ -120,7 +123,7 @@ def _count(number, what):
 
 
 def _deaf(certificate):
-    """Yield a line on a peak of sigma_max(M) at which P passes nothing, if there is one."""
+    """If sigma_max(M) has a peak where P has no gain, yield a line on this peak."""
     if DEAF in certificate.peaks:
         place = certificate.place(certificate.peaks[DEAF])
         yield (
@@ -154,7 +157,7 @@ def _limits(certificate):
 
 
 def _mean(certificate):
-    """Yield the predicted RMS errors if there is a reference, else the mean of sigma_max(M)."""
+    """Yield the predicted RMS errors, or without a reference the mean of sigma_max(M)."""
     problem, rms, mean = certificate.problem, certificate.predicted, certificate.mean_M
     nominal = " of the nominal plant" if problem.robust else ""
     if rms:

@@ -91,9 +91,10 @@ def worst_sigma(problem, L, k, level):
 
 
 def within_radius(P, Q, L, radius, level):
-    """Return the worst sigma_max(M) of P (n, p, m) and L (n, m, p) within a radius, (n,).
+    """Return the largest sigma_max(M) over all plants within a radius of P, shape (n,).
 
-    Above `NEAR_LEVEL` times `level`, the result is exact. Smaller results are upper bounds.
+    P has the shape (n, p, m), and L has the shape (n, m, p). A result above `NEAR_LEVEL` times
+    `level` is exact. A smaller result is an upper bound.
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
     if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same problem for P^T and L^T
@@ -108,7 +109,10 @@ def within_radius(P, Q, L, radius, level):
 
 
 def _least_bound(G):
-    """Minimise sigma_max of the weighted G = [M; rho L] over alpha, (n,); NaN if M is zero."""
+    """Minimise sigma_max([M / sqrt(alpha); rho L / sqrt(1 - alpha)]) over alpha, shape (n,).
+
+    The argument is G = [M; rho L]. Where M is zero, the result is NaN.
+    """
 
     def bound(t, i):
         """Compute sigma_max of the weighted G for t = log((1 - alpha) / alpha)."""

@@ -36,8 +36,9 @@ class Law:
     equation (23) of the paper. See D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
     iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
-    With a learning gain a below one, v changes only by the share a of this step:
-    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k). Learning is then slower, but noise in e is averaged.
+    With a learning gain a below one, v changes only by the fraction a of the change that the law
+    asks for: v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k). Learning is then slower, but noise in e is
+    averaged.
 
     Attributes
     ----------
@@ -45,7 +46,7 @@ class Law:
     L : LearningOperator or None
         With None there is no learning, and v does not change.
     rest : int
-        Number of samples at the end of every trial in which v is held at zero. The filters look
+        At the end of every trial, v is held at zero for this number of samples. The filters look
         beyond the end. The values that they compute for the last samples may therefore grow from
         trial to trial.
     gain : float
@@ -151,7 +152,7 @@ class Law:
 
     @property
     def inputs(self) -> list[str] | None:
-        """Names of the channels of v; None if the law is not bound to a loop.
+        """Names of the channels of v, or None if the law is not bound to a loop.
 
         If v is added to references, one for each output, the channels have the outputs' names.
         """
@@ -171,7 +172,10 @@ class Law:
 
     @property
     def known_limits(self) -> dict[str, tuple[float, float]]:
-        """The limits that the law itself has, without the limits of a rig; {} stands for none."""
+        """The limits of the law itself, without the limits of a rig.
+
+        If the law has no limits, the dict is empty.
+        """
         return {} if self.limits is LimitsOf.RIG else self.limits
 
     def on_rig(self, limits: dict[str, tuple[float, float]]) -> "Law":
@@ -185,7 +189,10 @@ class Law:
 
     @cached_property
     def actuators(self) -> Actuators | None:
-        """The actuators with the limits of this law; None if the law has no limits."""
+        """The actuators with the limits of this law.
+
+        If the law has no limits, the value is None.
+        """
         if not self.known_limits:
             return None
         if self.loop is None:
@@ -197,7 +204,10 @@ class Law:
         return Actuators.of(self.known_limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":
-        """Return this law, bound to a loop; raise a ValueError if it is for another loop."""
+        """Return this law, bound to a loop.
+
+        If the law is for another loop, a ValueError is raised.
+        """
         arguments.instance("loop", loop, Loop)
         if self.loop is None:
             return replace(self, loop=loop)
@@ -351,7 +361,10 @@ class Law:
         return Done(v + reference if self.loop.one_for_one else v, y)
 
     def _back(self, v, reference, y, moved):
-        """Compute v after a trial beyond a limit: a share of w with which the limit would hold."""
+        """Compute v after a trial in which an output exceeded a limit.
+
+        The next w is a share of the last w. With this share, the limits would have held.
+        """
         kept = self.output_limits
         if not self.loop.one_for_one and self.loop.references:
             name = kept.region.outputs[int(kept.beyond(y).argmax())]
@@ -374,7 +387,10 @@ class Law:
             return _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
 
     def _names(self, signal, known, count):
-        """Return the names of the channels of v or e; refuse names whose order no loop states."""
+        """Return the names of the channels of v or e.
+
+        Names are refused if no loop states their order.
+        """
         if known or count is None:
             return known
         labels = arguments.names_of(signal) or [""] * count
@@ -387,7 +403,10 @@ class Law:
         return labels
 
     def applied(self, v, u, applied=None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return the part of v that was applied, and the applied commands; `u` was requested."""
+        """Return the part of v that was applied, and the applied commands.
+
+        `u` contains the commands that the controller asked for.
+        """
         if self.actuators is None:
             return v, applied
         if u is None:
@@ -404,7 +423,10 @@ class Law:
 
 
 def _two_references(references, e, y, names):
-    """Return the references of the last trial and the next one; None if they are not known."""
+    """Return the references of the last trial and of the next trial.
+
+    If the references are not known, return None.
+    """
     if references is None:
         return None if y is None else (e + y, e + y)
     if not isinstance(references, list | tuple) or len(references) != 2:
@@ -416,7 +438,7 @@ def _two_references(references, e, y, names):
 
 
 def _finite(signal):
-    """Return a signal for actuators; raise a ValueError if the signal overflowed."""
+    """Return the signal; if a value is not finite, raise a ValueError."""
     if not np.isfinite(signal).all():
         raise ValueError(
             f"v or e is too large, because the next v would exceed {np.finfo(float).max:.2g}: "

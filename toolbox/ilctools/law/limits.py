@@ -4,8 +4,8 @@ Section III of the paper has no limits of commands. A projection onto a convex s
 the distance of two signals, measured in the norm of the projection. A convergence rate in this norm
 therefore also holds if v is projected onto the limits. If the ends of trials are neglected, this
 rate is the largest value of sigma_max(W^(1/2) Q (I - L P) W^(-1/2)), where W = P^H P + weight I.
-Let d be the difference between v and the v to which learning converges. In each trial, the root of
-||P d||^2 + weight ||d||^2 is multiplied by at most this rate.
+Let d be the difference between v and the v to which learning converges. Each trial multiplies the
+root of ||P d||^2 + weight ||d||^2 by this rate or less.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,10 @@ def stated_limits(limits, names: Sequence[str] | None):
 
 
 def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tuple[float, float]]:
-    """Check limits (low, high) by name; if `names` is None, any name is allowed."""
+    """Check limits (low, high) by name.
+
+    If `names` is None, any name is allowed.
+    """
     checked = {}
     for key, values in arguments.by_name(name, limits, limits if names is None else names).items():
         low, high = arguments.array(f"{name}[{key!r}]", values, (2,)).tolist()
@@ -90,13 +93,16 @@ class Actuators:
         return np.clip(commands, self.lowest, self.highest)
 
     def room(self, commands) -> tuple[np.ndarray, np.ndarray]:
-        """Return how far commands may move down and up, less a margin for a solver's rounding."""
+        """Return how far commands may fall and rise, less a margin for the rounding of a solver."""
         margin = SOLVER_ROUNDING * self.width
         return self.lowest + margin - commands, self.highest - margin - commands
 
 
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:
-    """Say in which share of the samples the commands u exceed limits; return "" if none do."""
+    """Say in which share of the samples the commands u exceed limits.
+
+    If no command exceeds a limit, return an empty text.
+    """
     words = []
     for i, name in enumerate(controls):
         low, high = limits.get(name, UNLIMITED)
@@ -108,7 +114,7 @@ def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, f
 
 
 def check_solver(loop: Loop) -> None:
-    """Refuse to learn within limits, before any trial, if the solver is not installed."""
+    """If the solver is not installed, refuse to learn within limits before any trial is run."""
     if loop.P_v is not None and nearest.piqp is None:
         raise ImportError(
             "limits of a law need the package piqp: install it, by pip install piqp, or leave "
@@ -117,7 +123,10 @@ def check_solver(loop: Loop) -> None:
 
 
 def command_model(loop: Loop) -> control.StateSpace:
-    """Return the model from v to the commands, u = K x + N v; if P is unknown, u is the input w."""
+    """Return the model from v to the commands, u = K x + N v.
+
+    If P is unknown, the command u is the input w.
+    """
     P = loop.P_v
     if P is None:
         m = len(loop.learned)

@@ -54,7 +54,7 @@ class Norm(NamedTuple):
 
 
 class NotFound(RuntimeError):
-    """Error: there is no signal within the limits, or the solver finds none."""
+    """The error if there is no signal within the limits, or if the solver finds no such signal."""
 
 
 def nearest(

@@ -45,7 +45,10 @@ PARTS_OF_MODEL = (*"ABCD", "dt")  # matrices of a model, and its sampling period
 
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):
-    """Read the note `key` of a log by the function `read`; None if there is no such note."""
+    """Read the note `key` of a log by the function `read`.
+
+    If there is no such note, return None.
+    """
     if key not in trials.attrs:
         return None
     with reading(key):
@@ -88,7 +91,7 @@ def with_loop(trials: xr.Dataset, loop: Loop | None) -> xr.Dataset:
 
 
 def loop_of(trials: xr.Dataset) -> Loop | None:
-    """Return the loop that is noted in the metadata of a log, to the last digit, or None.
+    """Return the loop that is noted in the metadata of a log, with all digits, or None.
 
     None means that the log has no note of a loop. Raises a LogError if the note cannot be
     understood, or if it is for other signals or units.
@@ -104,14 +107,18 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 
 
 def is_newer(note: str) -> bool:
-    """Whether a note needs the second format: L looks back, has a base, or is not a filter."""
+    """Whether a note needs the second format.
+
+    This is the case if L looks back, has a base, or is not a filter.
+    """
     return '"first":' in note or '"samples":' in note
 
 
 def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
-    """Return a law as a dict by the keys of its file, without values equal to those in `usual`.
+    """Return a law as a dict with the keys of the law's file.
 
-    An L of a class that :func:`save_law` cannot write is left out.
+    Values that equal those in `usual` are left out. An L of a class that :func:`save_law` cannot
+    write is also left out.
     """
     Q, L = law.Q, law.L
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
@@ -137,7 +144,10 @@ def _limits_note(kept):
 
 
 def _limits_from(note):
-    """Make limits of outputs from the note of :func:`_limits_note`; None without a note."""
+    """Make limits of outputs from the note of :func:`_limits_note`.
+
+    If there is no note, return None.
+    """
     if note is None:
         return None
     region = note["region"]
@@ -151,7 +161,10 @@ def _limits_from(note):
 
 
 def _filter_note(L):
-    """Return the note of a filter; keys of newer formats are written only if needed."""
+    """Return the note of a filter.
+
+    Keys of newer formats are written only if they are needed.
+    """
     B, K = (L.B, L.K) if isinstance(L, Composition) else (None, L)
     note = {"coefficients": K.coefficients, "ends": K.ends}
     if K.first == 1 and B is None:
@@ -172,7 +185,10 @@ def _base_note(B):
 
 
 def _stacked(P):
-    """Return the matrix E of a base for stacked square models P; None if P is not a stack."""
+    """Return the matrix E of a base for stacked square models P.
+
+    If P is not a stack of square models, return None.
+    """
     copies, rest = divmod(P.noutputs, P.ninputs)
     return None if rest else isometry(copies, P.ninputs)
 
@@ -260,7 +276,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     path : path-like
         A JSON file, whose keys are listed in the notes.
     law : Law
-        L must be a LearningFilter, B K of a design, or a NormOptimal. The loop is not written.
+        L must be a LearningFilter, the B K of a design, or a NormOptimal. The loop is not written.
     note : str
         How the law was made, for those who read the file.
 

@@ -83,7 +83,10 @@ class OutputLimits:
                 )
 
     def distance(self, y) -> np.ndarray:
-        """Compute the distance of outputs (time, p) from their limits, (p,); negative if beyond."""
+        """Compute the least distance of outputs, (time, p), from their limits, (p,).
+
+        If an output exceeds a limit, its distance is negative.
+        """
         low, high = self.ends(len(y))
         return np.minimum(high - y, y - low).min(axis=0)
 
@@ -97,7 +100,10 @@ class OutputLimits:
         return Room(y - low - 2 * self.n, high - 2 * self.n - y)
 
     def first_share(self, reference) -> float:
-        """Compute the share of a reference (time, p) that all plants of the region allow."""
+        """Compute the largest share of a reference (time, p) with which the limits hold.
+
+        The limits hold for all plants of the region.
+        """
         scale = self.region.scale
         w = (reference - reference[0]) / scale.v
         room = self.room(np.broadcast_to(reference[0], reference.shape))
@@ -187,7 +193,10 @@ class OutputLimits:
         return past[max(broken, default=0) :]
 
     def _in_words(self, name):
-        """Return the limits of an output in words; "changing" is a limit that varies in time."""
+        """Return the limits of an output in words.
+
+        A limit that varies in time is called "changing".
+        """
         low, high = ("changing" if np.ndim(end) else end for end in self.limits[name])
         return f"({low}, {high})"
 
@@ -240,7 +249,10 @@ def _number(end):
 
 
 def _limit(name: str, ends) -> Limit:
-    """Check the lowest and the highest value of an output; None stands for no limit."""
+    """Check the lowest and the highest value of an output.
+
+    None stands for no limit.
+    """
     if not (isinstance(ends, list | tuple | np.ndarray) and len(ends) == 2):
         raise ValueError(f"{name} = {reprlib.repr(ends)} must be two values, the lower limit first")
     low, high = (

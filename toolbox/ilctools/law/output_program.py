@@ -73,7 +73,10 @@ def _tightened(room: Room, spread: Spread, theta: float) -> tuple[np.ndarray, np
 
 
 def _beside(asked) -> tuple[control.StateSpace, list[Rows]]:
-    """Join models with the same input; return the first model's outputs, and all limited rows."""
+    """Join models with the same input into one model.
+
+    Return the joined model with the outputs of the first model, and all limited rows.
+    """
     models, ends = zip(*asked, strict=True)
     A, C = block_diag(*(P.A for P in models)), block_diag(*(P.C for P in models))
     B, D = np.vstack([P.B for P in models]), np.vstack([P.D for P in models])

@@ -1,4 +1,4 @@
-"""Bounds of the change of outputs from one trial to the next, by a model and earlier trials.
+"""Bounds on the change of outputs between two trials, from a model and earlier trials.
 
 The equations (4) to (6) are in :mod:`.output_step`.
 """
@@ -21,7 +21,7 @@ TINY = np.finfo(float).tiny  # added to divisors that may be zero
 
 
 class Done(NamedTuple):
-    """A trial that has ended: the signal w that drove P and the outputs, in units of `scale`."""
+    """The signal w that drove P in a past trial, and the outputs, in units of `scale`."""
 
     w: np.ndarray  # (time, m)
     y: np.ndarray  # (time, p)
@@ -45,7 +45,10 @@ class Spread(NamedTuple):
 
 
 class Room(NamedTuple):
-    """How far outputs may fall and rise before they reach a limit, (6); shapes (time, p)."""
+    """How far outputs may fall and rise before they reach a limit, see (6).
+
+    Both arrays have the shape (time, p).
+    """
 
     down: np.ndarray
     up: np.ndarray
@@ -72,7 +75,10 @@ class Plant:
         return from_rest(self.model, w)
 
     def spread(self, d, now: Done, past: Sequence[Done], noise) -> Spread:
-        """Compute the spread for a change d of w by (4), or by (5) if tighter; `noise` is n."""
+        """Compute the spread for a change d of w by (4), or by (5) where (5) is tighter.
+
+        `noise` is the n of these equations.
+        """
         y, rho = self.output(d), self.bound.over_time(d)[:, None]
         least, most = y - rho, y + rho  # (4)
         if past and rho.any():
@@ -92,7 +98,10 @@ class Plant:
         return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
 
     def combination(self, d, changes, noise: float) -> np.ndarray:
-        """Find c_j of (5) that nearly minimise rho(d') + 2 n sum |c_j|; any c_j are valid."""
+        """Find c_j of (5) that nearly minimise rho(d') + 2 n sum |c_j|.
+
+        The bound (5) is valid for any c_j.
+        """
         D, W = (rfft(signal, self.bound.padded, axis=-2) for signal in (d, changes))
         size, each = np.abs(D).max() + TINY, self.bound.weights
         weights, of_c = each / size, np.zeros(len(W))

@@ -47,7 +47,7 @@ BACK_THETAS = (1.2, 2.0)  # shares theta that are tried after a trial beyond a l
 
 
 def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | None:
-    """After a trial beyond a limit, find a change with which all limits hold for sure.
+    """Find a change with which all limits hold for sure, after a trial that exceeded a limit.
 
     Returns None if no change is found. Earlier trials are not used, because the plant or a
     disturbance may have changed since then.
@@ -76,7 +76,10 @@ class Step(NamedTuple):
 
 
 def longest_step(program: Program, now: Done, past: Sequence[Done], noise: np.ndarray) -> Step:
-    """Find the change of least cost (7): the law's own, or one of a program, shortened by (6)."""
+    """Find the change of least cost (7) among changes that are shortened by (6).
+
+    These are the law's own change and the changes that programs find.
+    """
     plants, room, wanted = program.plants, program.room, program.wanted
     past = [done for done in past if any(plant.admits(done, now, noise) for plant in plants)]
 

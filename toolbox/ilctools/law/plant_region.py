@@ -64,7 +64,10 @@ class PlantRegion:
 
     @property
     def radius(self) -> np.ndarray | None:
-        """The radius of the nominal plant, (n,); None if the plant is exactly one of the models."""
+        """The radius of the nominal plant, (n,).
+
+        If the plant is exactly one of the models, the value is None.
+        """
         return None if self.exact else self.radii[0] / self.scale.of_P.min()
 
     def anywhere(self, plant: int, omega) -> tuple[np.ndarray, np.ndarray]:

@@ -58,7 +58,10 @@ def finite_response(law: Law) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
-    """Return the impulse response of Q without the ends, which sum up to the fraction `share`."""
+    """Return the impulse response of Q without its ends.
+
+    The samples that are cut away sum up to the fraction `share`.
+    """
     impulse = np.zeros((2 * Q.decay + 1, 1))
     impulse[Q.decay] = 1
     h = Q.apply(impulse)[:, 0]

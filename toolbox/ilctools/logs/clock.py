@@ -25,7 +25,10 @@ def steps_of(table: pd.DataFrame) -> pd.Series:
 
 
 def mean_step(table: pd.DataFrame) -> float:
-    """Return the mean step, rounded as far as the scatter of steps permits; NaN without steps."""
+    """Return the mean step, rounded as far as the scatter of the steps permits.
+
+    If there are no steps, the result is NaN.
+    """
     steps = steps_of(table)
     mean = float(steps.mean())
     slack = min(steps.max() - steps.min(), ROUNDED_STEP * mean)

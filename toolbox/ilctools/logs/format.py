@@ -105,7 +105,10 @@ def write_log(trials: xr.Dataset, path) -> None:
 
 
 def _points_note(trials):
-    """Return the samples with a reference, by output; {} if the reference covers all samples."""
+    """Return the samples with a reference, by output.
+
+    If the reference covers all samples, an empty dict is returned.
+    """
     points = points_of(trials)
     if points is None:
         return {}
@@ -115,7 +118,10 @@ def _points_note(trials):
 
 
 def rows_as_text(number: int, times, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
-    """Yield the rows of a trial in a log, from its signals (time, channel)."""
+    """Yield the rows of a trial in a log.
+
+    The signals of the trial have the shape (time, channel).
+    """
     for row in np.column_stack([times, *signals]).tolist():
         time.sleep(0)  # lets another thread continue, in which a sample of a rig may be due
         # repr gives each number the fewest digits that restore the number exactly
@@ -123,7 +129,10 @@ def rows_as_text(number: int, times, signals: Sequence[np.ndarray]) -> Iterator[
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
-    """Return names and units of the signals by role, as in the metadata; refuse missing signals."""
+    """Return the names and units of the signals by role, as the metadata state them.
+
+    If a signal is missing, the trials are refused.
+    """
     role_of = roles_of("input" in trials.coords)
     roles = dict.fromkeys(role_of[signal] for signal in SIGNALS if signal in trials)
     needed = {"y", "trial", "time", *needed, *roles, *(f"{role}_unit" for role in roles)}
@@ -167,9 +176,10 @@ def check_signals(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
 
 
 def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]:
-    """Return the titles of all columns except trial and time, by signal, in the order of a log.
+    """Return the titles of all columns except trial and time, grouped by signal.
 
-    If one signal of an optional group is present, a log has all signals of this group.
+    The signals and their columns have the order of a log. If one signal of an optional group is
+    present, a log has all signals of this group.
     """
     absent = [name for group in OPTIONAL if {*group}.isdisjoint(present) for name in group]
     return {
@@ -180,7 +190,10 @@ def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]
 
 
 def _quoted(title):
-    """Quote a title for CSV if needed; after a bare # pandas would read a comment."""
+    """Quote a title for CSV if needed.
+
+    If a title contains # without quotes, pandas takes what follows for a comment.
+    """
     return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 

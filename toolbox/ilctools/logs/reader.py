@@ -164,7 +164,10 @@ def _period(metadata):
 
 
 def value_of(entry) -> float:
-    """Return an entry as a number; NaN if it is no number in ASCII, such as 1_000 or ٣."""
+    """Return an entry as a number.
+
+    If the entry is not a plain number in ASCII, such as 1_000 or ٣, the result is NaN.
+    """
     try:
         text = str(entry)
         return float(entry) if text.isascii() and "_" not in text else np.nan

@@ -68,14 +68,20 @@ class Replay:
 
     @property
     def model(self) -> control.StateSpace | None:
-        """The model that the commands drive: the plant; for a ClosedLoop, P with the input w."""
+        """The model that the commands drive.
+
+        For a ClosedLoop, this is P with the input w. For the current-trial loop, this is the plant.
+        """
         if self.loop is None:
             return None
         return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
 
     @cached_property
     def disturbance(self) -> np.ndarray:
-        """The loop's disturbances, (trial, time, d); one that was not recorded is zero."""
+        """The disturbances of the loop, shape (trial, time, d).
+
+        If a disturbance was not recorded, it is zero.
+        """
         names = self.loop.disturbances
         if "disturbance" not in self.trials:
             return np.zeros((*self.trials.e.shape[:2], len(names)))
@@ -101,7 +107,7 @@ class Replay:
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs that the model predicts from the recorded inputs alone, from rest.
+        """Outputs that the model, starting from rest, predicts from the recorded inputs.
 
         The prediction uses no recorded outputs. The result is None if the model is unstable. An
         integrator counts as stable.
@@ -122,10 +128,11 @@ class Replay:
 
     @property
     def fit(self) -> pd.DataFrame | None:
-        """1 - ||y - y-hat|| / ||y - mean y|| by trial and output, where y-hat is predicted.
+        """The fit of the model, by trial and output.
 
-        If the prediction is perfect, the fit is 1. If the fit is below a half, the loop is probably
-        wrong for this log, or a signal that acts on the output was not recorded.
+        The fit is 1 - ||y - y-hat|| / ||y - mean y||, where y-hat is the predicted output. If the
+        prediction is perfect, the fit is 1. If the fit is below a half, the loop is probably wrong
+        for this log, or a signal that acts on the output was not recorded.
         """
         if self.predicted is None:
             return None
@@ -207,7 +214,10 @@ class Replay:
 
     @property
     def rms(self) -> pd.DataFrame:
-        """RMS(e_k) by trial, in the log and in the simulation; a column for each unit."""
+        """RMS(e_k) by trial, in the log and in the simulation.
+
+        The tables have a column for each unit of the outputs.
+        """
         table = rms_by_trial(self.trials.e)
         if self.simulated is None:
             return table
@@ -280,7 +290,10 @@ class Replay:
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
-    """Tabulate RMS(e_k), :func:`ilctools.rms`, by trial; a column for each unit of the outputs."""
+    """Tabulate RMS(e_k) by trial, with a column for each unit of the outputs.
+
+    The RMS is defined in :func:`ilctools.rms`.
+    """
     groups, columns = by_unit(e.output_unit.values.tolist()), {}
     for unit, channels in groups.items():
         names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""

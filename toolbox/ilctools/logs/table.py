@@ -193,7 +193,10 @@ def _signals(frame, asked, units):
 
 
 def _column(frame, argument, column):
-    """Find a column by its number or title; return the column and the unit in its title."""
+    """Find a column by its number or title.
+
+    The function returns the column and the unit in its title.
+    """
     titles = [*map(str, frame.columns)]
     parts = [WITH_UNIT.fullmatch(title).groups("") for title in titles]
     for written in (range(len(titles)), titles, [name for name, _ in parts]):
@@ -208,7 +211,10 @@ def _column(frame, argument, column):
 
 
 def _clock(frame, trial, time, unit, Ts):
-    """Return the trial number of each row, from 1 on, and the time since the trial began, in s."""
+    """Return, for each row, the trial number and the time since the trial began.
+
+    The trial numbers begin with 1. The times are in s.
+    """
     number = pd.Series(1.0, frame.index)
     if trial is not None:
         number = numbers_in(_column(frame, "trial", trial)[0])

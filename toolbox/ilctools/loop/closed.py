@@ -20,7 +20,10 @@ from ilctools.signals import Signals, check_match
 
 
 class Feedback(NamedTuple):
-    """K and N of the commands u = K x + N v; x are the states of P_v, the model from v to y."""
+    """The matrices K and N of the commands u = K x + N v.
+
+    x are the states of P_v, the model from v to y.
+    """
 
     K: np.ndarray  # (commands, states)
     N: np.ndarray  # (commands, m)
@@ -56,7 +59,10 @@ class Loop(Protocol):
 
     @property
     def one_for_one(self) -> bool:
-        """Whether v is added to the references: one channel for each output, in their order."""
+        """Whether v is added to the references.
+
+        If so, v has one channel for each output, in the order of the outputs.
+        """
 
     @property
     def commands(self) -> list[str]:
@@ -72,7 +78,10 @@ class Loop(Protocol):
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of all these signals by name; "" for a unit that is not known."""
+        """Units of all signals of the loop, by name.
+
+        If a unit is not known, the entry is "".
+        """
 
     @property
     def P_v(self) -> control.StateSpace | None:
@@ -83,34 +92,42 @@ class Loop(Protocol):
         """The model from r to y; None if it is not known."""
 
     def feedback(self) -> Feedback:
-        """Return how the commands depend on v and on the states of P_v; the loop must have P_v."""
+        """Return how the commands depend on v and on the states of P_v.
+
+        The loop must have a P_v.
+        """
 
     def w(self, reference, v) -> np.ndarray:
-        """Compute the inputs w (..., inputs) from a reference (..., p) and a signal v (..., m)."""
+        """Compute the inputs w from a reference and a signal v.
+
+        The shapes are (..., inputs) for w, (..., p) for the reference, and (..., m) for v.
+        """
 
     def asked(self, signals) -> np.ndarray | None:
-        """Return the commands of a trial, (..., commands), from its signals by name, or None.
+        """Return the commands of a trial, or None if they are not known.
 
-        None means that the commands are not known.
+        `signals` holds the signals of the trial by name. The commands have the shape
+        (..., commands).
         """
 
     def realised(self, v, u, applied) -> np.ndarray:
-        """Compute the v, (..., m), with which the loop would have asked for `applied`, not `u`.
+        """Compute the v with which the loop would have asked for `applied` instead of `u`.
 
-        Both `u` and `applied` are commands of shape (..., commands). Where they are equal, the
-        result is v.
+        The result has the shape (..., m). Both `u` and `applied` are commands of shape
+        (..., commands). Where `u` and `applied` are equal, the result is v.
         """
 
     def model(self, plant=None) -> control.StateSpace:
-        """Return the model from w to y, with the loop's plant or another one.
+        """Return the model from w to y, with the plant of the loop or with another plant.
 
         Raises a ValueError if there is no model.
         """
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """Compute the complex response from v to y, (n, p, m), at `omega` (rad/s, shape (n,)).
+        """Compute the frequency response from v to y at `omega` (rad/s).
 
-        The argument `plant` is as in :meth:`model`.
+        `omega` has the shape (n,). The result is complex and has the shape (n, p, m). The argument
+        `plant` is as in :meth:`model`.
         """
 
 
@@ -179,7 +196,10 @@ class CurrentTrialLoop:
 
     @property
     def one_for_one(self) -> bool:
-        """Whether v is added to the references: one channel for each output, in their order."""
+        """Whether v is added to the references.
+
+        If so, v has one channel for each output, in the order of the outputs.
+        """
         return True
 
     @property
@@ -188,11 +208,14 @@ class CurrentTrialLoop:
         return self.controls
 
     def w(self, reference, v) -> np.ndarray:
-        """Compute the inputs w = r + v, (22)."""
+        """Compute the inputs w = r + v, equation (22)."""
         return reference + v
 
     def asked(self, signals) -> np.ndarray | None:
-        """Return the commands of a trial, which are its controls u; None if u was not recorded."""
+        """Return the commands of a trial, which are the controls u.
+
+        If u was not recorded, None is returned.
+        """
         return signals.get("u")
 
     def realised(self, v, u, applied) -> np.ndarray:
@@ -211,7 +234,7 @@ class CurrentTrialLoop:
 
     @property
     def P(self) -> control.StateSpace:
-        """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
+        """The transfer function P = C (zI - A + B K_s)^-1 B N from w to y, see (31).
 
         The signal w does not excite the estimation error, so the observer's states are left out.
         """
@@ -223,16 +246,19 @@ class CurrentTrialLoop:
 
     @property
     def P_v(self) -> control.StateSpace:
-        """The transfer function from v to y, which learning sees: P."""
+        """The transfer function from v to y, which is P."""
         return self.P
 
     @property
     def P_r(self) -> control.StateSpace:
-        """The transfer function from r to y: P."""
+        """The transfer function from r to y, which is P."""
         return self.P
 
     def feedback(self) -> Feedback:
-        """Return K and N of the commands u = N w - K_s x, (18) without a disturbance."""
+        """Return K = -K_s and N of the commands u = N w - K_s x.
+
+        These commands follow from (18) without a disturbance.
+        """
         return Feedback(-self.Ks, self.N)
 
     @cached_property
@@ -245,12 +271,13 @@ class CurrentTrialLoop:
         return _from_w_and_d(self)
 
     def around(self, plant: Model) -> control.StateSpace:
-        """Return the loop (19) with the same controller around another plant, if it is stable.
+        """Return the loop (19) with the same controller around another plant.
 
-        The result is like :attr:`closed`, but the first states belong to `plant`, a model of any
-        order. The signals of `plant` are matched by name. The plant must have the loop's controls
-        and outputs. A disturbance that the plant lacks has no effect. Signals of the plant that the
-        loop does not have are left out. The plant may have direct feedthrough.
+        If this loop is unstable, a ValueError is raised. The result is like :attr:`closed`, but the
+        first states belong to `plant`, a model of any order. The signals of `plant` are matched by
+        name. The plant must have the loop's controls and outputs. A disturbance that the plant
+        lacks has no effect. Signals of the plant that the loop does not have are left out. The
+        plant may have direct feedthrough.
         """
         return _from_w_and_d(self, plant)
 
@@ -399,7 +426,7 @@ class ClosedLoop:
         )
 
     def _channels(self, P, outputs):
-        """Return the references that inputs take, and the names of learned inputs, checked."""
+        """Check and return the references that inputs take, and the names of learned inputs."""
         references, learned = self.references, self.learned
         if P is not None:
             inputs = arguments.different("inputs of P", P.input_labels)
@@ -444,18 +471,27 @@ class ClosedLoop:
 
     @property
     def one_for_one(self) -> bool:
-        """Whether v is added to the references: one channel for each output, in their order."""
+        """Whether v is added to the references.
+
+        If so, v has one channel for each output, in the order of the outputs.
+        """
         own = [self.references.get(name) for name in self.inputs]
         return self.learned == self.inputs and own == self.outputs
 
     @cached_property
     def F(self) -> np.ndarray:
-        """The matrix F, (inputs, p): one where an input takes the reference of an output."""
+        """The matrix F, shape (inputs, p).
+
+        An entry is one if the input takes the reference of the output, and zero otherwise.
+        """
         return np.array([[self.references.get(i) == o for o in self.outputs] for i in self.inputs])
 
     @cached_property
     def G(self) -> np.ndarray:
-        """The matrix G, (inputs, m): one where an input takes a channel of v."""
+        """The matrix G, shape (inputs, m).
+
+        An entry is one if the input takes the channel of v, and zero otherwise.
+        """
         return np.array([[i == name for name in self.learned] for i in self.inputs])
 
     @property
@@ -464,7 +500,10 @@ class ClosedLoop:
         return self.inputs
 
     def w(self, reference, v) -> np.ndarray:
-        """Compute the inputs w = F r + G v, shape (..., inputs), from r (..., p) and v (..., m)."""
+        """Compute the inputs w = F r + G v.
+
+        The shapes are (..., inputs) for w, (..., p) for r, and (..., m) for v.
+        """
         return np.asarray(reference) @ self.F.T + np.asarray(v) @ self.G.T
 
     def asked(self, signals) -> np.ndarray:
@@ -480,20 +519,23 @@ class ClosedLoop:
 
     @property
     def P_v(self) -> control.StateSpace | None:
-        """The model from v to y, which learning sees; None without P."""
+        """The model from v to y; None if the loop has no P."""
         return None if self.P is None else self.P[:, self.learned]
 
     @property
     def P_r(self) -> control.StateSpace | None:
-        """The model from r to y; None without P."""
+        """The model from r to y; None if the loop has no P."""
         return None if self.P is None else self.P * self.F
 
     def feedback(self) -> Feedback:
-        """Return K and N of the commands w; K is zero, as w does not depend on the states."""
+        """Return K and N of the commands w.
+
+        K is zero, because w does not depend on the states.
+        """
         return Feedback(np.zeros((len(self.inputs), self.P.nstates)), self.G)
 
     def model(self, plant=None) -> control.StateSpace:
-        """Return P, or `plant` in its place, which is another model from w to y."""
+        """Return the model from w to y, which is P, or `plant` if `plant` is passed."""
         if plant is None and self.P is None:
             raise ValueError(
                 "loop has no P: it can be run and excited, but not simulated. "
@@ -511,15 +553,15 @@ class ClosedLoop:
         return P
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """Compute the response from v to y at `omega` (rad/s), (n, p, m), by P or another model.
+        """Compute the frequency response from v to y at `omega` (rad/s), with P or `plant`.
 
-        The other model, `plant`, is from w to y.
+        The result has the shape (n, p, m). The other model, `plant`, is from w to y.
         """
         return frequency_response(self.model(plant)[:, self.learned], omega)
 
 
 def same_loop(loop: Loop, other: Loop) -> bool:
-    """Whether two loops are equal to the last digit, with their names and units."""
+    """Whether two loops are equal to the last digit, including their names and units."""
     if not (is_dataclass(loop) and type(loop) is type(other)):
         return loop == other
     return all(map(np.array_equal, _values(loop), _values(other)))
@@ -557,7 +599,10 @@ def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def with_disturbance(A, B, C) -> tuple[np.ndarray, np.ndarray]:
-    """Return A_a and C_a of (15) for A_d = C_d = I; the states of the plant come first."""
+    """Return A_a and C_a of (15) for A_d = C_d = I.
+
+    The states of the plant come first.
+    """
     n, m = B.shape
     return np.block([[A, B], [np.zeros((m, n)), np.eye(m)]]), np.pad(C, [(0, 0), (0, m)])
 
@@ -593,7 +638,10 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
 
 
 def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpace:
-    """Close a loop, stable or not, around a plant with the same inputs and outputs."""
+    """Close a loop around a plant with the same inputs and outputs.
+
+    The closed loop may be unstable.
+    """
     m = loop.plant.noutputs
     A, B, K = controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]

@@ -89,7 +89,10 @@ def current_trial_loop(
 
 
 def _checked(plant, controls):
-    """Check that the plant has the form (12), and return it as a model with its controls first."""
+    """Check that the plant has the form (12), and return the plant as a model.
+
+    In this model, the controls are the first inputs.
+    """
     plant = sampled_plant(plant)
     m, names = plant.noutputs, plant.input_labels
     controls = names if controls is None else controls
@@ -114,7 +117,7 @@ def _checked(plant, controls):
 
 
 def _weights(plant, sizes, Qs, Rs, Qo, Ro):
-    """Return the weights of (24) and (27), checked, or their defaults."""
+    """Check and return the weights of (24) and (27), or their defaults."""
     n, m = plant.nstates, plant.noutputs
     Sy, Su = _sizes(sizes, plant.output_labels, plant.input_labels[:m])
     B, C = plant.B[:, :m], plant.C
@@ -129,7 +132,10 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
 
 
 def _sizes(sizes, outputs, controls):
-    """Return S_y and S_u, which hold the sizes of signals; a size that is not given is one."""
+    """Return S_y and S_u, which hold the sizes of the outputs and of the controls.
+
+    If a size is not given, it is one.
+    """
     names = [*outputs, *controls]
     large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
     large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
@@ -137,7 +143,7 @@ def _sizes(sizes, outputs, controls):
 
 
 def _weight(name, asked, usual):
-    """Return the symmetric part of a weight, checked; the default is `usual`."""
+    """Check a weight, and return its symmetric part; the default is `usual`."""
     weight = usual if asked is None else arguments.array(name, asked, usual.shape)
     weight = (weight + weight.T) / 2
     if np.linalg.eigvalsh(weight).min() < -INDEFINITE * np.abs(weight).max():
@@ -161,7 +167,10 @@ def _gains(A, B, C, Qs, Rs, Qo, Ro):
 
 
 def _gain(A, B, Q, R, weights):
-    """Compute K from a Riccati equation; refuse an equation that has a mode on the unit circle."""
+    """Compute K from a Riccati equation.
+
+    If the equation has a mode on the unit circle, it is refused.
+    """
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", LinAlgWarning)

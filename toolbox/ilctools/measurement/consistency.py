@@ -99,23 +99,26 @@ class Score(NamedTuple):
     power: np.ndarray  # Z' W Z
 
     def explained(self, columns: list[int]) -> float:
-        """Compute q' J^-1 q of some columns; columns that other columns explain add nothing."""
+        """Compute q' J^-1 q of some columns.
+
+        If a column is a linear combination of other columns, this column adds nothing.
+        """
         unit, among = np.sqrt(self.power.diagonal()), np.ix_(columns, columns)
         z, J = (self.q / unit)[columns], (self.J / unit / unit[:, None])[among]
         return z @ np.linalg.pinv(J, EXPLAINED, True) @ z
 
     def power_of(self, columns: list[int]) -> float:
-        """Compute the power of the sum of some columns."""
+        """Compute the weighted sum of squares of the sum of some columns."""
         return self.power[np.ix_(columns, columns)].sum()
 
 
 def contradictions(
     fit: Regression, groups: Sequence[Trials], reference: bool = True
 ) -> Iterator[Contradiction]:
-    """Find what contradicts one linear plant, in words, and by how much relative to P.
+    """Find what contradicts one linear plant.
 
-    `reference` says whether the reference is in the record. If the reference is missing, u may
-    follow y.
+    Each contradiction is stated in words, with its size relative to P. `reference` says whether the
+    reference is in the record. If the reference is missing, u may follow y.
     """
     asked, n = hypotheses(groups), fit.data.n
     level = FALSE_ALARM / len(asked)
@@ -146,7 +149,11 @@ def hypotheses(groups: Sequence[Trials]) -> list[Hypothesis]:
 def score(
     fit: Regression, groups: Sequence[Trials], added: Callable[[Series], np.ndarray]
 ) -> Score:
-    """Compute (1) for another gain of each input, and for the columns that `added` makes."""
+    """Compute the score and its information, equation (1).
+
+    The columns Z are one column for a change in the gain of each input, and the columns that
+    `added` makes.
+    """
     at, layout, mean, p = fit.posterior, fit.data.layout, fit.mean, len(fit.mean)
     G = products(groups, layout, added).weighted(at.weight)  # of [X, y, columns]
     gains = np.zeros((p, len(layout.delays)))
@@ -193,7 +200,10 @@ class _OfGroup(NamedTuple):
 
 
 def _of_group(fit, g, group):
-    """Make the columns of a group; `g` has the impulse responses to all inputs, (time, m + d)."""
+    """Make the columns of a group of trials.
+
+    The argument `g` holds the impulse responses to all inputs, shape (time, m + d).
+    """
     K, N, _ = group.u.shape
     of_P, u = g[:, : group.commanded], group.u[..., : group.commanded]
     answer = _through(of_P, u).sum(axis=2, keepdims=True)
@@ -206,9 +216,10 @@ def _of_group(fit, g, group):
 
 
 def _powers(of_P, u, y, measured):
-    """Make squares and cubes, for a nonlinearity before the plant, behind it, or in a feedback.
+    """Make the columns of squares and cubes, which show a nonlinearity.
 
-    A nonlinear spring feeds back the output. Its columns use the output that was measured one
+    The nonlinearity may act before the plant, behind the plant, or in a feedback. A nonlinear
+    spring feeds back the output. The columns for a spring use the output that was measured one
     sample earlier, because the noise of the present sample is independent of that output.
     """
     earlier = np.pad(measured, [(0, 0), (1, 0), (0, 0)])[:, :-1]
@@ -217,12 +228,19 @@ def _powers(of_P, u, y, measured):
 
 
 def _through(g, z):
-    """Filter signals (trial, time, column) by impulse responses (time, 1 or column)."""
+    """Filter signals by impulse responses.
+
+    The signals have the shape (trial, time, column). The impulse responses have the shape
+    (time, column), or (time, 1) if all columns have the same impulse response.
+    """
     return fftconvolve(z, g[None], axes=1)[:, : z.shape[1]]
 
 
 def _last_move(u):
-    """Compute the sign of the last change, minus an initial sign opposite to the first change."""
+    """Compute the sign of the last change of each input, minus an initial sign.
+
+    The initial sign is opposite to the sign of the first change.
+    """
     signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
     signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
     samples = np.arange(len(signs)).reshape(-1, 1, 1)
@@ -231,7 +249,10 @@ def _last_move(u):
 
 
 def _at_once(fit, level):
-    """Whether y responds to a command within the same sample, as if P were -1 / C."""
+    """Whether y responds to a command within the same sample.
+
+    This happens if the estimate shows -1 / C of the controller C instead of P.
+    """
     layout, n = fit.data.layout, fit.data.n
     for j, g in enumerate(fit.impulse(2 * layout.lags)[: fit.commanded]):  # slow parts answer later
         lags = np.zeros((layout.size, 1))

@@ -104,7 +104,10 @@ def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResp
 
 
 def spectra(signal, excitation) -> np.ndarray:
-    """Compute spectra at the lines, (realisation, period, n, channel, experiment)."""
+    """Compute the spectra of a signal at the lines.
+
+    The result has the shape (realisation, period, n, channel, experiment).
+    """
     m, period, channels = excitation.rows, excitation.period, signal.shape[-1]
     parts = signal.reshape(len(signal) // m, m, -1, period, channels)
     lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
@@ -129,7 +132,10 @@ def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> Esti
 
 
 def distortion(lines: ExcitedResponse) -> np.ndarray:
-    """Compute delta^2 of (2) for one output, times the ratio of quantiles of (3), (n,)."""
+    """Compute delta^2 of (2) for one output, times the ratio of quantiles in (3).
+
+    The result has the shape (n,).
+    """
     R, N = lines.periods.shape[:2]
     square, d, f = lines._error
     noise = lines.noise**2

@@ -107,7 +107,10 @@ class EstimatedResponse(Measured):
 
     @property
     def loop(self) -> Loop:
-        """The loop whose response is estimated; a ClosedLoop without P if the record names none."""
+        """The loop whose response is estimated.
+
+        If the record names no loop, this is a ClosedLoop without P.
+        """
         return self.record.loop
 
     @property
@@ -122,12 +125,15 @@ class EstimatedResponse(Measured):
 
     @cached_property
     def known(self) -> np.ndarray:
-        """Mask of the frequencies at which P is identified, (n,): the 95 % radius is below P."""
+        """Mask of the frequencies at which P is identified, shape (n,).
+
+        P is identified where the 95 % radius is below P.
+        """
         return self.radius() < largest_singular_values(self.response)
 
     @cached_property
     def resolved(self) -> np.ndarray:
-        """Mask of the frequencies at which a design may begin, (n,).
+        """Mask of the frequencies at which a design may begin, shape (n,).
 
         P must be identified there, and one period of the frequency must fit into a record.
 
@@ -141,11 +147,17 @@ class EstimatedResponse(Measured):
 
     @property
     def _lowest(self):
-        """2 pi / T, rad/s: the lowest frequency of which a period fits into the longest record."""
+        """The lowest frequency (rad/s) of which one period fits into the longest trial.
+
+        This frequency is 2 pi / T, where T is the duration of that trial.
+        """
         return 2 * np.pi / (self.record.longest * self.loop.Ts)
 
     def _unsettled(self):
-        """Name the outputs that may not settle, in words; refuse outputs that do not settle."""
+        """Yield a sentence on each output that may not settle.
+
+        If an output certainly does not settle, a LogError is raised.
+        """
         shares = UNSTABLE * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
         rising, lowest = self._rises(), self._lowest
         for i, (name, fit) in enumerate(zip(self.loop.outputs, self.fits, strict=True)):
@@ -178,7 +190,10 @@ class EstimatedResponse(Measured):
         return self.units * np.stack(rows, axis=1)
 
     def _moments(self, omega):
-        """Compute tr S and the root of tr S^2, (n,), and variances of dA / A, (output, 2, n)."""
+        """Compute tr S, the root of tr S^2, and the variances of dA / A.
+
+        The first two results have the shape (n,). The variances have the shape (output, 2, n).
+        """
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
             S, share = fit.covariance(omega * self.loop.Ts)
@@ -316,7 +331,10 @@ class EstimatedResponse(Measured):
 def estimated_response(
     logs: Sequence[xr.Dataset], of: str | None = None, delay=None
 ) -> EstimatedResponse:
-    """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
+    """Estimate a frequency response from records.
+
+    The arguments are those of :func:`ilctools.measured_response`.
+    """
     record = Record.of(logs, of, delay)
     units = record.sizes.outputs[:, None] / record.sizes.inputs
     noted = record.source == "w" or all("reference" in log for log in logs)
@@ -349,10 +367,11 @@ def estimated_response(
 
 
 def quantile(trace, root, shares, p: float) -> np.ndarray:
-    """Compute the value that ||dP|| / |1 + a| exceeds with the probability p, by (2), (n,).
+    """Compute by (2) the value that ||dP|| / |1 + a| exceeds with the probability p.
 
-    `trace` is tr S and `root` is the root of tr S^2, both (n,). `shares`, (output, 2, n), has the
-    variances of the real and the imaginary part of dA / A for each output.
+    The result has the shape (n,). `trace` is tr S and `root` is the root of tr S^2, both (n,).
+    `shares`, (output, 2, n), has the variances of the real and the imaginary part of dA / A for
+    each output.
     """
     shape = trace**2 / (2 * root**2)
     x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
@@ -363,7 +382,10 @@ def quantile(trace, root, shares, p: float) -> np.ndarray:
 
 
 def _at_rest(record, units):
-    """Return P(0) of each output in these units if the loop's observer integrates, else None."""
+    """Return P(0) of each output if it is known, because the loop's observer integrates.
+
+    P(0) is in the given units. For each output, the result is None if P(0) is not known.
+    """
     if record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
         return np.eye(len(units)) / units
     return [None] * len(units)

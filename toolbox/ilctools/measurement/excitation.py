@@ -159,7 +159,10 @@ def _amplitudes(amplitude, loop):
 
 
 def _harmonics(period, highest, lines):
-    """Return harmonics up to `highest` (rad per sample), evenly spaced on a logarithmic scale."""
+    """Return harmonics that are evenly spaced on a logarithmic scale.
+
+    The frequency of the last harmonic is at most `highest`, in rad per sample.
+    """
     below_nyquist = (period - 1) // 2
     last = min(int(highest * period / (2 * np.pi)), below_nyquist)
     return np.unique(np.round(np.geomspace(1, last, lines)).astype(int)).tolist()
@@ -187,14 +190,20 @@ def _divided(hours, cycle, realisations, lowest):
 
 
 def _envelopes(phases, harmonics, period):
-    """Compute the sums of exp(j (2 pi h t / period + phase)) over a period, (..., time)."""
+    """Compute the sum of exp(j (2 pi h t / period + phase)) over all harmonics h.
+
+    The result has the shape (..., time), where `time` is one period.
+    """
     spectrum = np.zeros((*phases.shape[:-1], period), complex)
     spectrum[..., harmonics] = np.exp(1j * phases)
     return period * np.fft.ifft(spectrum)
 
 
 def _with_low_peaks(phases, harmonics, m):
-    """Improve phases (..., harmonic), so that none of the m experiments has high peaks."""
+    """Improve phases, so that none of the m experiments has high peaks.
+
+    The phases have the shape (..., harmonic).
+    """
     # The signal is clipped, less and less, and the phases of the clipped signal are taken, as by
     # Van der Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency
     # domain swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988).
@@ -225,7 +234,10 @@ def with_excitation(
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:
-    """Read the excitation from the metadata of a log; None if the log has no such note."""
+    """Read the excitation from the metadata of a log.
+
+    If the metadata state no excitation, None is returned.
+    """
 
     def read(note):
         excitation = Excitation(**note)

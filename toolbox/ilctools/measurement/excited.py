@@ -94,20 +94,27 @@ class ExcitedResponse(Measured):
         return np.sqrt(np.maximum(self.error**2 - self.noise**2, 0))
 
     def _variance(self, off, count):
-        """Compute the variance of errors at each line, (n,), at least the variance of rounding."""
+        """Compute the variance of errors at each line, shape (n,).
+
+        The result is not below the variance of rounding errors.
+        """
         return np.maximum(_squares(off) / count, 1e-24 * _squares(self.response) + 1e-300)
 
     @cached_property
     def _error(self):
-        """The square of `error`, and d and f; the radius has 2 d and 2 f degrees of freedom."""
+        """The square of `error`, and the numbers d and f.
+
+        The radius has 2 d and 2 f degrees of freedom.
+        """
         off, R, noise = self.realisations - self.response, len(self.periods), self.noise**2
         both, size = self._variance(off, R * (R - 1)), _squares(self.response)  # (3)
         shape = noise + max(np.sum(both - noise), 0) / size.sum() * size
         return self._smoothed(off, both, R - 1, shape)
 
     def _smoothed(self, off, variance, freedom, shape=1.0):
-        """Smooth a variance (n,) of errors (..., n, p, m); return it with d and f (n,).
+        """Smooth the variance of errors; return the smooth variance, d and f.
 
+        The errors have the shape (..., n, p, m). The variance, d and f have the shape (n,).
         `freedom` is the number of degrees of freedom of each line. The ratio of the variance to a
         `shape` is smoothed.
         """
@@ -125,7 +132,10 @@ class ExcitedResponse(Measured):
         return np.where(alone, variance, mean), d, np.where(alone, a, f)
 
     def _straight(self):
-        """Compute weights that fit a straight line through the nearest frequencies, (n, n)."""
+        """Compute the weights with which a straight line is fitted to the nearest frequencies.
+
+        The weights have the shape (n, n).
+        """
         x, n = np.log(self.omega), len(self.omega)
         count = max(3, 1 + NEIGHBOURING_LINES // (len(self.periods) - 1))
         weights = np.zeros((n, n))
@@ -141,7 +151,10 @@ class ExcitedResponse(Measured):
         return np.sqrt(square * fdtri(2 * d, 2 * f, 1 - miss))
 
     def _samples(self, confidence):
-        """Return samples of P, also at negative frequencies, and I at zero if P(0) = I is known."""
+        """Return samples of P at positive and negative frequencies.
+
+        If P(0) = I is known, a sample I at the frequency zero is included.
+        """
         radius = self.radius(confidence, jointly=True)
         rest = np.eye(*self.response.shape[1:])[None, :][: self.anchored]
         return Samples(
@@ -199,12 +212,18 @@ class ExcitedResponse(Measured):
 
 
 def _squares(off):
-    """Compute the sum of the squares of errors (..., n, m, m) at each line, (n,)."""
+    """Compute the sum of the squares of errors at each line.
+
+    The errors have the shape (..., n, m, m), and the result has the shape (n,).
+    """
     return np.sum(np.abs(off.reshape(-1, *off.shape[-3:])) ** 2, axis=(0, 2, 3))
 
 
 def _directions(off, near, freedom):
-    """Count independent entries of errors (..., n, m, m); a real number counts as 1/2."""
+    """Count the independent entries of errors of the shape (..., n, m, m).
+
+    An independent real number counts as 1/2.
+    """
     parts = np.stack([off.real, off.imag], axis=-1).reshape(-1, len(near), 2 * off.shape[-1] ** 2)
     C = np.tensordot(near, np.einsum("rki,rkj->kij", parts, parts), 1)
     square, squares = np.trace(C, axis1=1, axis2=2) ** 2, np.linalg.norm(C, axis=(1, 2)) ** 2
@@ -215,7 +234,10 @@ def _directions(off, near, freedom):
 
 
 def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) -> ExcitedResponse:
-    """Compute P from the signals of all evaluated periods, (experiment, time, channel)."""
+    """Compute P from the signals of all evaluated periods.
+
+    The signals have the shape (experiment, time, channel).
+    """
     W, Y = (_spectra(signal, excitation) for signal in (w, y))
     findings = ()
     if beyond := commands_beyond(asked, loop.commands, limits):
@@ -227,7 +249,10 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
 
 
 def _spectra(signal, excitation):
-    """Compute spectra at the lines, (realisation, period, n, channel, experiment)."""
+    """Compute the spectra of a signal at the lines.
+
+    The result has the shape (realisation, period, n, channel, experiment).
+    """
     m = excitation.rows
     channels = signal.shape[-1]
     parts = signal.reshape(-1, m, excitation.periods, excitation.period, channels)

@@ -181,7 +181,11 @@ def _warned(measured):
 
 
 def _signals(log, excitation):
-    """Return w (experiment, time, m) and y of the evaluated periods; refuse missing experiments."""
+    """Return the inputs w and the outputs y of the evaluated periods.
+
+    The signals have the shape (experiment, time, channel). If experiments are missing, the log is
+    refused.
+    """
     shaken = excitation.signals
     if log.trial.values.tolist() != list(range(1, len(shaken) + 1)):
         raise LogError(

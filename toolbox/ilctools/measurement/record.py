@@ -30,7 +30,10 @@ LARGEST_MOVES, SMALLEST_MOVES = 1e30, 1e-30
 
 
 class Sizes(NamedTuple):
-    """RMS value of each signal in all trials, after its mean in each trial is subtracted."""
+    """RMS value of each signal in all trials.
+
+    The mean of each trial is subtracted beforehand.
+    """
 
     inputs: np.ndarray  # (m,)
     outputs: np.ndarray  # (p,)
@@ -38,7 +41,10 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """Inputs and outputs of logs, relative to values before each trial, in units of `sizes`."""
+    """Inputs and outputs of logs, in units of `sizes`.
+
+    Each signal is relative to its value before the trial.
+    """
 
     groups: tuple[Trials, ...]  # one group of trials for each length
     inputs: list[str]
@@ -101,7 +107,7 @@ class Record:
 
 
 class _Moves(NamedTuple):
-    """The signals of a log, relative to their values before each trial."""
+    """The signals of a log; each signal is relative to its value before the trial."""
 
     u: np.ndarray  # (trial, time, channel)
     y: np.ndarray  # (trial, time, channel)
@@ -110,7 +116,10 @@ class _Moves(NamedTuple):
 
 
 def _groups(moves, known, sizes):
-    """Group trials by length: in all trials of one length the same disturbance may repeat."""
+    """Group trials by their length.
+
+    The same disturbance may repeat in all trials of one length.
+    """
     alike = {}
     for one, disturbances in zip(moves, known, strict=True):
         u = np.concatenate([one.u / sizes.inputs, disturbances], axis=2)
@@ -128,14 +137,17 @@ def _groups(moves, known, sizes):
 
 
 def _source_of(logs, asked):
-    """Return the requested inputs; the default is w if all logs have a reference."""
+    """Return the requested inputs, w or u.
+
+    The default is w if all logs have a reference, and u otherwise.
+    """
     if asked is None:
         return "w" if all("reference" in log for log in logs) else "u"
     return arguments.choice("of", asked, ["u", "w"])
 
 
 def _known_disturbances(moves):
-    """Return the names of the disturbances that vary in any log, and their changes in each log.
+    """Return the disturbances that vary in any log: their names, and their changes in each log.
 
     The changes are relative to the first sample of a trial, in units of their RMS. Their shape is
     (trial, time, disturbance).
@@ -152,7 +164,10 @@ def _known_disturbances(moves):
 
 
 def _loop_of(log, source):
-    """Return the loop that a log names, if the input is w; else a loop without P."""
+    """Return the loop that a log names.
+
+    If the input is not w, or if the log names no loop, a loop without P is returned.
+    """
     outputs, units = log.output.values.tolist(), log.output_unit.values.tolist()
     named = loop_of(log) if source == "w" else None
     units = dict(zip(outputs, units, strict=True))
@@ -160,7 +175,10 @@ def _loop_of(log, source):
 
 
 def _moves(name, log, source):
-    """Return inputs, outputs and known disturbances, relative to their values before each trial."""
+    """Return the inputs, the outputs and the known disturbances of a log.
+
+    Each signal is relative to its value before the trial.
+    """
     u, before, others = _inputs(name, log, source)
     u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
     y = arguments.array(f"{name}.y", log.y.values, (*u.shape[:2], "channel"))
@@ -178,7 +196,7 @@ def _moves(name, log, source):
 
 
 def _inputs(name, log, source):
-    """Return the inputs, a signal with their values before a trial, and known disturbances by name.
+    """Return the inputs, their values before each trial, and known disturbances by name.
 
     The first row of the second signal is the value at which the inputs rest before a trial. Inputs
     of a loop that take only a reference count as known disturbances.
@@ -210,13 +228,19 @@ def _inputs(name, log, source):
 
 
 def _without_rounding(signal):
-    """Subtract from a signal (trial, time) each trial's first sample; set mere rounding to zero."""
+    """Subtract from each trial its first sample; the signal has the shape (trial, time).
+
+    If the remaining changes are mere rounding errors, they are set to zero.
+    """
     moves = signal - signal[:, :1]
     return moves * (np.abs(moves).max() > ROUNDING_OF_DISTURBANCE * np.abs(signal).max())
 
 
 def _disturbances_of(name, log, shape):
-    """Return the known disturbances of a log by name, (trial, time) each."""
+    """Return the known disturbances of a log by name.
+
+    Each disturbance has the shape (trial, time).
+    """
     if "disturbance" not in log:
         return {}
     signals = arguments.array(f"{name}.disturbance", log.disturbance.values, (*shape, "source"))
@@ -240,9 +264,10 @@ def _samples_of(delay, m):
 
 
 def check_moved(signals, names, what, remedy):
-    """Refuse signals with a channel that never changes; shape (trial, time, channel) per record.
+    """Refuse signals with a channel that never changes.
 
-    Signals whose changes are too large or too small for floating-point numbers are also refused.
+    The signal of each log has the shape (trial, time, channel). Signals whose changes are too large
+    or too small for floating-point numbers are also refused.
     """
     with np.errstate(over="ignore"):
         each = [np.abs(x - x[:, :1]).max(axis=(0, 1)) for x in signals]
@@ -260,6 +285,9 @@ def check_moved(signals, names, what, remedy):
 
 
 def _sizes(signals):
-    """Compute the RMS of signals (trial, time, channel) about the mean of each trial."""
+    """Compute the RMS of each channel, relative to the mean of each trial.
+
+    The signals have the shape (trial, time, channel).
+    """
     moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
     return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))

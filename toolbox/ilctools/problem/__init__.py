@@ -1,1 +1,1 @@
-"""The design problem of the learning filter: one checked object, and how a user states it."""
+"""The design problem of the learning filter, made from the user's arguments and checked."""

@@ -62,12 +62,18 @@ class Bounds:
         return [claim for claim in self.claims if claim.matrix == matrix]
 
     def limit_on_L(self, omega) -> np.ndarray:
-        """Return the least limit on sigma_max(L) at each frequency, (n,); inf without a limit."""
+        """Return the least limit on sigma_max(L) at each frequency, (n,).
+
+        If there is no limit at a frequency, the value is inf.
+        """
         each = [np.where(claim.holds_at(omega), claim.limit, np.inf) for claim in self.on("L")]
         return np.min([np.full(len(omega), np.inf), *each], axis=0)
 
     def lowered(self, shrink: float, M: bool) -> "Bounds":
-        """Return bounds with all limits multiplied by `shrink`, but M_max only if `M` is true."""
+        """Return bounds whose limits are multiplied by `shrink`.
+
+        M_max is multiplied only if `M` is true.
+        """
         return replace(
             self,
             M_max=self.M_max * (shrink if M else 1),

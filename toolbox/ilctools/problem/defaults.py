@@ -49,7 +49,7 @@ PASSES_AT_REST = 0.01
 
 
 def cutoff(Q, omega) -> float:
-    """Return the cut-off of a sampled Q, rad/s: |Q| is below one half at all higher frequencies."""
+    """Return the frequency above which a sampled |Q| stays below one half, rad/s."""
     size = np.abs(Q)
     passed = np.flatnonzero(size >= 0.5)
     if not len(passed) or passed[-1] == len(omega) - 1:
@@ -65,10 +65,13 @@ def band(cutoff, omega) -> tuple[float, float]:
 
 
 def at_rest(smallest) -> float:
-    """Return the smallest singular value of P at the lowest frequency; zero if negligible.
+    """Return the smallest singular value of P at the lowest frequency.
+
+    If this value is negligible, return zero.
 
     `smallest` (n,) is the smallest singular value of P at each frequency, the lowest first. The
-    value at the lowest frequency is negligible below `PASSES_AT_REST` times the largest value.
+    value at the lowest frequency is negligible if it is below `PASSES_AT_REST` times the largest
+    value.
     """
     return float(smallest[0]) if smallest[0] > PASSES_AT_REST * smallest.max() else 0.0
 
@@ -86,7 +89,7 @@ def gain(cutoff, smallest, omega) -> float:
 
 
 def gain_of_base(cutoff, smallest, omega, Q, M_max) -> float:
-    """Return the default L_max, the bound on the gain of L = B, which gives b = 1 / (2 L_max).
+    """Return the default L_max for L = B, from which b = 1 / (2 L_max) follows.
 
     B = (P* P + b^2)^-1 P* is the regularised inverse of P. L_max is ROOM_OF_BASE times the largest
     gain that inverts P up to the cut-off. L_max is also at most STATIC times the largest gain that
@@ -114,7 +117,9 @@ def _least(cutoff, smallest, omega):
 
 
 def order(cutoff, delay, Ts, frequencies) -> int:
-    """Return the default order: the delay of P plus REACH / (cutoff Ts) samples, within limits.
+    """Return the default order: the delay of P plus REACH / (cutoff Ts) samples.
+
+    The order has a lower and an upper limit.
 
     The order is at most half the number of frequencies.
     """
@@ -154,7 +159,10 @@ def lead(P, omega, Ts) -> float:
 
 
 def _lag(P, omega, Ts, at):
-    """Compute by how much each output lags the least lag at frequencies `at`, (k, m), rad."""
+    """Compute the phase lag of each output in excess of the least lag, (k, m), rad.
+
+    `at` selects the k frequencies.
+    """
     if P.shape[1] > P.shape[2]:  # then compute the lag for each input, with the outputs combined
         P = P.swapaxes(1, 2)
     square = P.shape[1] == P.shape[2]

@@ -80,7 +80,10 @@ def _bounded_above(grid, problem, dense) -> Problem:
 
 
 def _dense(problem) -> Dense:
-    """Make the grid for the poles of L; with `everywhere`, also for the poles of P and Q."""
+    """Make a grid with small steps in the phase of the all-pass with the poles of L.
+
+    With `everywhere`, the poles of P and Q are added.
+    """
     of_L, lowpass = problem.poles_of_L, problem.lowpass
     step, systems = ESTIMATED_PHASE_STEP, [of_L]
     if problem.bounds.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
@@ -93,7 +96,10 @@ def _dense(problem) -> Dense:
 
 
 def _between(problem, omega):
-    """Return P, Q and the radius at additional frequencies; Q is zero where only L is bounded."""
+    """Return P, Q and the radius at additional frequencies.
+
+    Q is set to zero where only L is bounded.
+    """
     response = problem.response
     P, radius = _known(response, omega)
     inside = (omega >= response.omega[0]) & (omega <= response.omega[-1])
@@ -127,7 +133,10 @@ def _above(problem, omega, M_max, shrink):
 
 
 def _joined(problem, omega, P, Q, radius):
-    """Add further frequencies to a problem; they do not count in its objective."""
+    """Add further frequencies to a problem.
+
+    The further frequencies do not count in the objective.
+    """
     response = problem.response
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 

@@ -36,7 +36,7 @@ class SampledQ:
 
 
 def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
-    """Check Q; return Q if it is a filter, or else a `SampledQ` of its samples on omega."""
+    """Check Q; return a filter unchanged, and samples of Q on omega as a `SampledQ`."""
     known = isinstance(Q, ZeroPhaseButterworth | SampledQ)
     samples = Q.frequency_response(omega) if known else Q
     samples = arguments.array("Q", samples, (len(omega),), complex)

@@ -47,7 +47,7 @@ def doubts(response: Response) -> list[Finding]:
 
 
 def _of_signals(response):
-    """Yield findings on outputs in several units without a scale, and on omitted directions."""
+    """Yield findings if outputs in several units have no scale, or if directions are left out."""
     (outputs, inputs), signals = response.names, response.signals
     units = {signals.units.get(name, "") for name in outputs} - {""}
     if len(units) > 1 and response.scale.is_one:

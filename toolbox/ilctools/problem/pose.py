@@ -80,7 +80,10 @@ def _asked_base(base, order, response):
 
 
 def _asked_structure(structure, response):
-    """Check the structure; "diagonal" needs as many inputs as outputs."""
+    """Check the structure.
+
+    The structure "diagonal" needs as many inputs as outputs.
+    """
     p, m = response.P.shape[2:]
     if arguments.choice("structure", structure, ["diagonal", "full"]) == "diagonal" and p != m:
         raise needs_square("structure = 'diagonal'", p, m)
@@ -96,7 +99,7 @@ def needs_square(what: str, p: int, m: int) -> ValueError:
 
 
 def checked_M_max(M_max) -> float:
-    """Check the bound on sigma_max(M), in (0, 1)."""
+    """Check that the bound on sigma_max(M) is between 0 and 1."""
     return arguments.number("M_max", M_max, "in (0, 1), or the trials do not converge", 0, 1)
 
 
@@ -189,7 +192,10 @@ def _objective(response, cutoff, Q, kind, band, reference, chosen):
 
 
 def _of_band(omega, cutoff, band, summed, chosen):
-    """Return the band, and weights that are one in it; for a sum, omega must contain the band."""
+    """Return the band, and weights that are one inside the band.
+
+    If the objective is a sum, omega must contain the band.
+    """
     if band is None:
         band = defaults.band(cutoff, omega)
         if summed:
@@ -208,7 +214,10 @@ def _of_band(omega, cutoff, band, summed, chosen):
 
 
 def _L_max(L_max, gain, close, chosen):
-    """Choose or check the bound on sigma_max(L); None means that there is no bound."""
+    """Choose or check the bound on sigma_max(L).
+
+    None stands for no bound.
+    """
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max, room = gain, f"at most {defaults.ROOM_OF_BASE}" if close else defaults.ROOM
         chosen.append(
@@ -219,7 +228,7 @@ def _L_max(L_max, gain, close, chosen):
 
 
 def _bound_from(L_high, response):
-    """Check `L_high`: a frequency and the bound on sigma_max(L) above this frequency, or None."""
+    """Check `L_high`, which is a frequency and the bound on sigma_max(L) above it, or None."""
     if L_high is None:
         return None
     lowest, gain = arguments.array("L_high", L_high, (2,)).tolist()
@@ -233,7 +242,10 @@ def _bound_from(L_high, response):
 
 
 def _gain(response, lowpass, M_max, pooled):
-    """Compute the default L_max; if `pooled`, L_max determines b of the regularised inverse B."""
+    """Compute the default L_max.
+
+    If `pooled` is true, L_max determines b of the regularised inverse B.
+    """
     omega, cutoff = response.omega, lowpass.cutoff
     # The true singular value may be zero if the computed one is below the radius. The radius
     # therefore replaces smaller values.
@@ -245,7 +257,10 @@ def _gain(response, lowpass, M_max, pooled):
 
 
 def _smallest_singular_values(response, cutoff):
-    """Compute the smallest singular values of the nominal plant, (n,); refuse a singular plant."""
+    """Compute the smallest singular value of the nominal plant at each frequency, (n,).
+
+    A singular plant is refused.
+    """
     omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
     # Up to the cut-off, `size` is the largest singular value at all frequencies. Above the cut-off,
     # it is the largest singular value at the same frequency.

@@ -134,7 +134,7 @@ class Problem:
 
     @property
     def of_v(self) -> bool:
-        """Whether M acts on v, not on the error: there are fewer learned inputs than outputs."""
+        """Whether M acts on v, because there are fewer learned inputs than outputs."""
         return self.m < self.p
 
     def turned(self, X) -> np.ndarray:
@@ -143,7 +143,10 @@ class Problem:
 
     @property
     def radius(self) -> np.ndarray | None:
-        """Radius r, (n,): bounds hold for P + Delta with ||Delta|| <= r. None stands for zero."""
+        """Radius r, (n,), or None if r is zero.
+
+        The bounds hold for all P + Delta with ||Delta|| <= r.
+        """
         return self.response.radius
 
     @property
@@ -204,8 +207,8 @@ class Problem:
 
         `plant` and `at` are the numbers of plants and the indices of frequencies. If `radius` is
         None, G is M = Q I - Q P L. With a radius r, G is [M; |Q| r L], see :class:`Cuts`. If P is
-        not square, let B = U R with U* U = I. G then contains R K instead of L = B K, which has the
-        same singular values.
+        not square, let B = U R with U* U = I. G then contains R K instead of L = B K. R K and B K
+        have the same singular values.
         """
         identity, Q = np.eye(self.channels), self.Q[at, None, None]
         T = self.through_base(-Q * self.turned(self.plants[plant, at]), at)
@@ -217,7 +220,7 @@ class Problem:
 
     @cached_property
     def L_bound(self) -> np.ndarray:
-        """W of the bounds on L, shape (n, m, m): sigma_max(W L) <= 1 expresses all bounds.
+        """W, shape (n, m, m), with which sigma_max(W L) <= 1 expresses all bounds on L.
 
         If L = B K, sigma_max(W K) <= 1 expresses the bounds on L and K. Otherwise W is the identity
         divided by the least limit at each frequency, (46). If L has no bound, each input gets a
@@ -251,12 +254,17 @@ class Problem:
 
     @property
     def first_sample(self) -> int:
-        """The power of z of the first coefficient; K uses samples ahead and back, L only ahead."""
+        """The power of z that belongs to the first coefficient.
+
+        K uses samples ahead and back. L uses only samples ahead.
+        """
         return 1 if self.base is None else -((self.order - 1) // 2)
 
     @cached_property
     def of_K(self) -> np.ndarray | None:
-        """B times a shift in time, turned, at omega; its product with `K(solution)` is L.
+        """B times a shift in time, turned, at omega.
+
+        The product of this response and `K(solution)` is L.
 
         The response is in units of `scale`. It is None if there is no base, so that L is K.
         """
@@ -293,7 +301,10 @@ class Problem:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """A finding if no filter can meet M_max above the last sample of P; else empty."""
+        """A finding if no filter can meet M_max above the last sample of P.
+
+        Otherwise, there is no finding.
+        """
         Q = np.abs(self.Q[-1])
         if self.response.beyond is None or self.M_max > Q:
             return ()
@@ -330,7 +341,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Cuts:
-    """Bounds for further plants or for a radius r that the solver had to add; multipliers N.
+    """Bounds that the solver had to add for further plants or a radius r, with multipliers N.
 
     The bounded matrix is G = M, or G = [M; |Q| r L] for a radius r.
     """

@@ -48,7 +48,10 @@ def first_error(response, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nominal(response, angles):
-    """Return frequencies, and the nominal P there; P is constant outside its samples."""
+    """Return frequencies, and the nominal P at these frequencies.
+
+    Outside its samples, P is taken to be constant.
+    """
     omega = angles / response.Ts
     if response.models[0] is None:
         omega = omega.clip(*response.omega[[0, -1]])
@@ -74,10 +77,10 @@ def error_weights(spectrum, angles) -> np.ndarray:
 
 
 def unreachable_rms(problem) -> np.ndarray:
-    """Return the RMS of the part of the first error that no v removes, in the plant's units, (p,).
+    """Return the RMS of the part of the first error that no v removes, shape (p,).
 
-    If there are fewer learned inputs than outputs, this part is (I - P P^+) e_1, because
-    v = P^+ e_1 leaves the least error. P^+ is the pseudoinverse of P.
+    The RMS is in the plant's units. With fewer learned inputs than outputs, this part is (I - P
+    P^+) e_1, because v = P^+ e_1 leaves the least error. P^+ is the pseudoinverse of P.
     """
     angles, E = problem.objective.first_error
     left = E - _back(problem.response, reachable(problem.response, (angles, E))[1])
@@ -85,7 +88,7 @@ def unreachable_rms(problem) -> np.ndarray:
 
 
 def reachable(response, first_error) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles, and P P^+ e_1, the part of the first error that some v removes.
+    """Return angles omega Ts, and the part P P^+ e_1 of the first error that some v removes.
 
     If P has directions without gain, the part is given in the other directions, see
     :mod:`ilctools.response.directions`.

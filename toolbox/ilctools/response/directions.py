@@ -6,9 +6,9 @@ and V have orthonormal columns, such that at all frequencies
     P = U (U' P V) V'.
 
 The error in the directions orthogonal to U then remains for any v. A v orthogonal to V changes no
-output. A filter L is therefore designed for U' P V, and V L U' is the filter for P. Both have the
-same M in the directions of U and V. M acts on the outputs or on the inputs, whichever have fewer
-channels. Directions are left out only among these channels.
+output. A filter L is therefore designed for U' P V, and V L U' is the filter for P. L and V L U'
+have the same M in the directions of U and V. M acts on the outputs or on the inputs, whichever have
+fewer channels. Directions are left out only among the channels on which M acts.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,10 @@ class Directions:
 
     @classmethod
     def passed_by(cls, responses) -> "Directions | None":
-        """Find directions from responses (plants, n, p, m); None if P has a gain in all of them."""
+        """Find directions from responses, shape (plants, n, p, m).
+
+        If P has a gain in all directions, the result is None.
+        """
         p, m = responses.shape[2:]
         parts = np.concatenate([responses.real, responses.imag]).reshape(-1, p, m)
         U = _spanned(np.moveaxis(parts, 1, 0).reshape(p, -1)) if p <= m else np.eye(p)

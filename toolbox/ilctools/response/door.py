@@ -146,7 +146,7 @@ def _unless_zero(radius):
 
 
 def _references(plant, scale) -> References:
-    """Return whether v is added to references, or else the loop's response to references.
+    """Return whether v is added to references, and if not, the loop's response to references.
 
     If the loop does not state its response to references, this response is None. A model that is
     not square is taken to have no references.
@@ -297,7 +297,7 @@ def _along(response, directions) -> Response:
 
 
 def in_all_directions(response: Response) -> Response:
-    """Return a response for all channels, with the directions that were left out."""
+    """Return a response for all channels, including the directions that were left out."""
     if response.directions is None:
         return response
     return replace(_along(response, response.directions.back), directions=None)
@@ -321,7 +321,10 @@ def in_own_units(response: Response) -> Response:
 
 
 def _refuse_other_units(plant, omega, P, Ts):
-    """Refuse omega in Hz or rad/sample, if it ends at the Nyquist frequency, where P is real."""
+    """Refuse omega that ends at the Nyquist frequency, but in Hz or rad/sample.
+
+    Omega is refused only if P is real at the last frequency, as P is at the Nyquist frequency.
+    """
     if isinstance(plant, Measured):
         omega, P = plant.omega, plant.response
     rounding = PRINTED_DIGITS * np.abs(P[-1]).max()

@@ -116,7 +116,10 @@ class Measured:
         )
 
     def statements(self, omega, confidence) -> tuple[str | Assumed, ...]:
-        """Return the statements of :meth:`basis`; assumptions are of the type `Assumed`."""
+        """Return the statements of :meth:`basis`.
+
+        Statements that are assumptions have the type `Assumed`.
+        """
         return (*self._basis(omega, confidence), *self.findings)
 
     @property
@@ -228,7 +231,10 @@ class Measured:
 
 
 def _nearest_with(A, C, measured, near) -> control.StateSpace:
-    """Fit B and D of a model with given A and C to `measured`; errors are relative to `near`."""
+    """Fit B and D of a model with given A and C to `measured`.
+
+    The errors of the fit are divided by `near`.
+    """
     Ts, P = measured.loop.Ts, measured.response
     z, n = np.exp(1j * measured.omega * Ts), len(A)
     states = np.linalg.solve((z[:, None, None] * np.eye(n) - A).swapaxes(1, 2), C.T[None])
@@ -241,7 +247,11 @@ def _nearest_with(A, C, measured, near) -> control.StateSpace:
 
 
 def radius_of(uncertainty, P) -> np.ndarray:
-    """Return the radius at each frequency of P (n, p, m); a number is a share of sigma_max(P)."""
+    """Return the radius at each frequency of a response P.
+
+    P has the shape (n, p, m). If `uncertainty` is a number, the radius is this share of
+    sigma_max(P).
+    """
     if np.ndim(uncertainty) == 0:
         what = "a radius at each frequency, or one number below 1, relative to sigma_max(P)"
         uncertainty = arguments.number("uncertainty", uncertainty, what, high=1, least=0)
@@ -253,7 +263,10 @@ def radius_of(uncertainty, P) -> np.ndarray:
 
 
 def with_phase(name: str, P) -> np.ndarray:
-    """Return a table P (n, p, m); refuse a real P that is not constant, as no causal plant is."""
+    """Return a table P (n, p, m); refuse a P that is real but not constant.
+
+    No causal plant has such a response.
+    """
     if not P.imag.any() and np.ptp(P.real, axis=0).any():
         raise ValueError(
             f"{name} is real at each frequency, but not constant, as no plant is: is it a gain "

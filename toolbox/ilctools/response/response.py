@@ -1,9 +1,9 @@
 """Frequency responses of plants: P at its given frequencies, between them, and outside them.
 
 P of a model is known at all frequencies. If P is known by samples, :mod:`.samples` gives P between
-the samples and below the first sample. A response that was estimated from a record has its own P
-below the first sample. Above the last sample, P is taken to be zero, with a radius that is the size
-of P at the last sample.
+the samples and below the first sample. If P was estimated from a record, the estimate itself also
+gives P below the first sample. Above the last sample, P is taken to be zero, with a radius that is
+the size of P at the last sample.
 """
 
 from dataclasses import dataclass, replace
@@ -66,7 +66,10 @@ class Response:
 
     @property
     def radii(self) -> np.ndarray:
-        """The radius at each frequency, (n,); zeros if P has no radius."""
+        """The radius at each frequency, (n,).
+
+        If P has no radius, all values are zero.
+        """
         return np.zeros(len(self.omega)) if self.radius is None else self.radius
 
     def at(self, chosen) -> "Response":
@@ -102,7 +105,10 @@ class Response:
 
     @property
     def below_in_words(self) -> Assumed | None:
-        """The assumption on P below the first sample, in words; None if P is known there."""
+        """The assumption on P below the first sample, in words.
+
+        If P is known there, the value is None.
+        """
         if not self.sampled or self.omega[0] <= 0:
             return None
         sampled = [s for s, m in zip(self.samples, self.models, strict=True) if m is None]
@@ -110,7 +116,10 @@ class Response:
 
     @property
     def beyond(self) -> float | None:
-        """The bound on sigma_max(P) above the last sample; None if P is known there."""
+        """The bound on sigma_max(P) above the last sample.
+
+        If P is known there, the value is None.
+        """
         if not self.sampled or self.angles[-1] >= np.pi - SAME_ANGLE:
             return None
         samples = self.P[[model is None for model in self.models], -1]
@@ -118,7 +127,7 @@ class Response:
 
     @cached_property
     def samples(self) -> list[Samples]:
-        """The responses as :class:`.Samples`, which interpolate them, one for each plant."""
+        """One :class:`.Samples` for each plant, which interpolates the response of the plant."""
         return [Samples(self.omega, P, self.radii, self.low) for P in self.P]
 
     @property

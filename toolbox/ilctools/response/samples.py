@@ -30,10 +30,10 @@ changes by s / 3 below omega_1. The real part of a first-order lag changes by t^
 t is the tangent of the phase. The term Delta Re P is relative to P, and does not depend on the
 units of y. A channel with a large gain therefore does not hide a channel with a small gain.
 
-All P of this form are called the region. If d is one or more, the region contains singular
-plants, and the phase may turn by any angle below omega_1. This happens at a phase of 45 degrees at
-the latest. P is then taken to have any value that is not larger than at omega_1, and no filter has
-a sigma_max(M) below |Q| there.
+All P of this form are called the region. If d is one or more, the region contains singular plants,
+and the phase may turn by any angle below omega_1. If the phase at omega_1 reaches 45 degrees, d is
+at least one. If d is one or more, P below omega_1 is taken to be any matrix whose norm is at most
+the norm of P at omega_1 plus r. No filter then has a sigma_max(M) below |Q| at these frequencies.
 
 The region was tested on 30 plants. With omega_1 at 1/1000, 1/100, 1/50, 1/20 and 1/10 of the
 cut-off, the region contains 30, 29, 28, 24 and 24 of these plants, respectively. The region does
@@ -97,7 +97,7 @@ class Samples:
 
     @cached_property
     def _over(self):
-        """The axis with the smaller error of splines, and this error at the samples, (n,)."""
+        """The axis on which splines have the smaller error, and this error at the samples, (n,)."""
         axes = (np.asarray, np.log) if self.omega[0] > 0 else (np.asarray,)
         each = ((axis, missed(axis(self.omega), self.P)) for axis in axes)
         return min(each, key=lambda pair: pair[1].max())
@@ -113,7 +113,10 @@ class Samples:
         return np.maximum(self._over[1] - self.radius, 0)
 
     def radius_at(self, omega) -> np.ndarray:
-        """Interpolate the radius by straight lines, (k,); it is constant outside the samples."""
+        """Interpolate the radius by straight lines, shape (k,).
+
+        Outside the samples, the radius is constant.
+        """
         return np.interp(self._place(omega), self.axis(self.omega), self.radius)
 
     def at(self, omega) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +152,7 @@ class Samples:
 
     @property
     def known_below(self) -> bool:
-        """Whether the first two samples determine P at lower frequencies: d is below one."""
+        """Whether d is below one, so that two samples determine P at lower frequencies."""
         return self.moves < 1
 
     @property
@@ -198,7 +201,7 @@ class Samples:
 
 
 def _over(X, P):
-    """Return X P^-1 for a square P, else the least-squares solution of Delta P = X.
+    """Solve Delta P = X for Delta, by least squares if P is not square.
 
     If P has more columns than rows, P Delta = X is solved instead.
     """

@@ -41,7 +41,10 @@ class Scale(NamedTuple):
 
 
 def scale_of(scale, outputs, inputs) -> Scale:
-    """Check a scale that is given by name or by channel; by default all scales are one."""
+    """Check a scale that is given by name or by channel.
+
+    By default, all scales are one.
+    """
     p, m = len(outputs), len(inputs)
     if isinstance(scale, Scale):
         return scale

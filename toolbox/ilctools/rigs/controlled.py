@@ -33,7 +33,7 @@ class ControlledRig:
         return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
 
     def begin(self, trial: int) -> None:
-        """Bring the rig to where trials begin, if the rig can do so; then reset the controller."""
+        """If the rig can do so, bring it to where trials begin; then reset the controller."""
         self.place = f"trial {trial}"
         if self.about.begin:
             self.interrupts.call(self.about.begin, trial)
@@ -106,7 +106,7 @@ class ControlledRig:
         return signals
 
     def read(self, flows) -> Part:
-        """Read and check y, the known disturbances, and u if the controller is the rig's."""
+        """Read and check y, the known disturbances, and u if the rig has its own controller."""
         names, driver = self.about.signals, self.about.driver
         y, measured = driver.read(), driver.measured if names.measured_as else {}
         part = {
@@ -122,7 +122,9 @@ class ControlledRig:
         return part
 
     def reading(self, name: str, values, shape: tuple) -> np.ndarray:
-        """Return the driver's values as an array; raise a RigError if they are not valid.
+        """Return the driver's values as an array.
+
+        If the values are not valid, a RigError is raised.
 
         For one output a number is enough, as :meth:`.Law.next` takes signals (time,) for one
         output.
@@ -153,7 +155,10 @@ class ControlledRig:
         self.interrupts.call(self.about.driver.apply, inputs)
 
     def make_safe(self) -> None:
-        """Leave the rig in a safe state; if this fails, the error says that it may be unsafe."""
+        """Leave the rig in a safe state.
+
+        If this fails, the error says that the rig may be unsafe.
+        """
         try:
             if self.about.safe:
                 self.about.safe()

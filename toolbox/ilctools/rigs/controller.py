@@ -72,7 +72,7 @@ class Controller:
 
 
 def rounded(values, decimals: int | None):
-    """Round values to a number of decimals; None: return them as they are."""
+    """Round values to a number of decimals; if this number is None, return them unchanged."""
     if decimals is None:
         return values
     # numpy rounds up some decimals that are just below a half

@@ -102,7 +102,9 @@ def described(
     decimals: dict[str, int] | None = None,
     goes_on: bool = False,
 ) -> RigDescription:
-    """Describe a rig under its loop; raise a ValueError if something does not fit together.
+    """Describe a rig under its loop.
+
+    If rig, loop and arguments do not fit together, a ValueError is raised.
 
     Parameters
     ----------

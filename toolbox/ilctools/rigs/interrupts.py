@@ -19,9 +19,9 @@ WAIT_NOTICE = b"\nsignal noted, wait: the rig is being left safe\n"
 class Interrupts:
     """Record signals that end a process; after a signal, only `safe` of the driver is called.
 
-    A signal during a call of the driver raises at once, because the driver may hang. Elsewhere a
-    signal does not raise: the exception could be swallowed, as in a destructor, or leave a lock
-    behind.
+    A signal during a call of the driver raises an exception at once, because the driver may hang.
+    Elsewhere a signal does not raise an exception: the exception could be swallowed, as in a
+    destructor, or leave a lock behind.
     """
 
     def __init__(self, make_safe: Callable, safe_time: float):
@@ -45,7 +45,7 @@ class Interrupts:
                     self.handlers[number] = handler  # it is replaced now, and must be restored
 
     def note(self, number, frame) -> None:
-        """Note a signal; raise KeyboardInterrupt if signals may raise now."""
+        """Note a signal; raise KeyboardInterrupt if exceptions are allowed at this time."""
         self.number = self.number or number
         if time.monotonic() > self.until:
             raise KeyboardInterrupt
@@ -53,7 +53,10 @@ class Interrupts:
             os.write(2, WAIT_NOTICE)
 
     def call(self, method: Callable, *arguments):
-        """Call a method of the driver, and return its result; signals raise during the call."""
+        """Call a method of the driver, and return its result.
+
+        During the call, a signal raises an exception.
+        """
         try:
             self.until = -math.inf
             if self.number:

@@ -63,7 +63,10 @@ class Experiment:
             return self.go_on(self.past_in(path), path)
 
     def past_in(self, path: Path) -> Past:
-        """Read the trials of the log at `path`, if it exists; refuse another experiment."""
+        """Read the trials of the log at `path`, if this log exists.
+
+        The log of another experiment is refused.
+        """
         if not path.exists():
             return Past(self.notes)
         log = read_log(path, ended=True)
@@ -90,7 +93,10 @@ class Experiment:
             )
 
     def v_after(self, trials: list[Part], upcoming) -> np.ndarray:
-        """Compute v after some trials, for the next reference, rounded as it is recorded."""
+        """Compute the next v after some trials, for the next reference.
+
+        v is rounded to the digits that are recorded.
+        """
         return self.about.rounded("v", self.following(trials, upcoming))
 
     def go_on(self, past: Past, path: Path | None) -> xr.Dataset:
@@ -136,7 +142,10 @@ class Experiment:
             file.finish()
 
     def trial_on(self, rig: ControlledRig, past: list[Part], bar) -> Part:
-        """Run the trial after the trials `past`; without reset, the trial is run in parts."""
+        """Run the trial that follows the trials `past`.
+
+        If trials are not reset, the trial is run in parts.
+        """
         number, reference = len(past) + 1, self.reference[len(past)]
 
         def respond(w, now):

@@ -30,7 +30,9 @@ def without_others(path: Path) -> AbstractContextManager:
 
 
 class TrialLog:
-    """The log of one experiment as a file; changes by other programs are not overwritten.
+    """The log of one experiment as a file.
+
+    Changes that other programs make to the file are not overwritten.
 
     A thread writes the file, so that a rig whose trials follow without a pause need not wait. If no
     path is passed, nothing is written.
@@ -48,7 +50,10 @@ class TrialLog:
         self.size = self.path.stat().st_size
 
     def add(self, log: xr.Dataset, trial: Part) -> None:
-        """Add the last trial of a log; first raise the error of the write before, if any."""
+        """Add the last trial of a log.
+
+        If the previous write failed, its error is raised first.
+        """
         self.finish()
         if self.path:
             self.last = self.thread.submit(self.write, log, trial)

@@ -39,9 +39,10 @@ def start_of(about: RigDescription, first: Part) -> Start:
 def warnings_of(
     about: RigDescription, log: xr.Dataset, trials: Sequence[Part], late: Sequence[float]
 ) -> dict[str, str]:
-    """Collect the warnings after the last of these trials, by kind; "" if there is none.
+    """Collect the warnings after the last of these trials, by kind.
 
-    `late` has the number of seconds by which each sample of the last trial was early or late.
+    A kind without a warning has the text "". `late` has the number of seconds by which each sample
+    of the last trial was early or late.
     """
     number, texts = len(trials), _beyond_limits(about, trials[-1])
     if about.law is not None:
@@ -55,7 +56,10 @@ def warnings_of(
 
 
 def _beyond_limits(about, trial):
-    """State which commands saturate; the law knows its own limits, but not those of a rig."""
+    """State which commands exceed the limits of the law, or else the limits of the rig.
+
+    If the limits are the rig's, the text adds that the law does not know these limits.
+    """
     kind, limits, then = "rig", about.limits, OF_RIG
     if about.actuators:
         kind, limits, then = "limits", about.law.known_limits, CUT_OFF

@@ -68,7 +68,10 @@ class Cutoff(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The highest cut-off that each frequency allows, (n,), rad/s; infinite without a limit."""
+    """The highest cut-off that each frequency allows, (n,), rad/s.
+
+    If a frequency sets no limit, the value is infinite.
+    """
 
     omega: np.ndarray  # (n,), rad/s
     Ts: float  # s
@@ -135,7 +138,10 @@ def _limits(response, M_max):
 
 
 def _least(limits, left_out) -> _Least:
-    """Find the lowest limit, but ignore the frequencies in the mask `left_out`, (n,) or False."""
+    """Find the lowest limit, without the frequencies that the mask `left_out` selects.
+
+    The mask has the shape (n,). False stands for no frequencies.
+    """
     weak, apart = (np.where(left_out, np.inf, each) for each in (limits.weak, limits.apart))
     asked = limits.omega <= min(weak.min(), limits.highest) / INSIDE_SAMPLES
     last = np.sum(asked & (limits.omega * limits.Ts < NEARLY_NYQUIST)) - 1

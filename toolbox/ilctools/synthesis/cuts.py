@@ -17,7 +17,10 @@ ROUNDING_OF_M = 1e-10  # relative: a smaller violation of M_max is rounding
 
 
 def solve(problem: Problem) -> Solution:
-    """Solve a problem at its own frequencies; raise Infeasible if no filter meets the bounds."""
+    """Solve a problem at its own frequencies.
+
+    If no filter meets the bounds, Infeasible is raised.
+    """
     plant, frequency = np.empty((2, 0), dtype=int)
     while True:
         formulation = formulate(problem, plant, frequency)
@@ -30,7 +33,10 @@ def solve(problem: Problem) -> Solution:
 
 
 def violated(problem, solution, limit, plant, frequency):
-    """Find the most violated new bound at each frequency; return its plant and frequency."""
+    """Find the new bound that is most violated at each frequency.
+
+    Return the plants and the frequencies of these bounds.
+    """
     L = problem.L(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + ROUNDING_OF_M)), np.full(n, -1)

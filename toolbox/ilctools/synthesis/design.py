@@ -132,9 +132,11 @@ def synthesise(
     convergence : computes how fast trials converge with any filter
     trial_norm : computes how one finite trial, with its two ends, amplifies v
 
-    Notes ----- **P.** A table holds the complex values gain * exp(1j * phase). The gain is not in
-    dB, and the phase is in rad. If a table was made for exp(-j omega t), so that its phase leads,
-    pass its complex conjugate. The table must describe the sampled plant, including its hold. In
+    Notes
+    -----
+    **P.** A table holds the complex values gain * exp(1j * phase). The gain is not in dB, and the
+    phase is in rad. If a table was made for exp(-j omega t), so that its phase leads, pass its
+    complex conjugate. The table must describe the sampled plant, including its hold. In
     python-control, the frequency response of a continuous model does not contain the hold, which
     adds a delay of half a sample: sample a continuous model first. A transfer function with more
     than about four poles loses digits: pass ``control.sample_system(control.ss(plant), Ts)``. The
@@ -249,7 +251,10 @@ def synthesise(
 
 
 def without_Q(problem_of, response, M_max) -> Synthesis:
-    """Design with a chosen cut-off of Q; halve the cut-off if v might grow at a trial's ends."""
+    """Design with a chosen cut-off of Q.
+
+    If v might grow at the ends of a trial, the cut-off is halved.
+    """
     refuse_singular(response)
     limit, Ts = choose_cutoff(response, checked_M_max(M_max)), response.Ts
     lowest = max(LOWEST_CUTOFF * np.pi / Ts, response.omega[response.omega > 0][0])
@@ -283,7 +288,10 @@ def without_Q(problem_of, response, M_max) -> Synthesis:
 
 
 def _cost_of_ends(first, half) -> Finding:
-    """Make the finding that the ends of a trial halve the cut-off, with a remedy."""
+    """Make the finding that the cut-off is halved because of the ends of a trial.
+
+    The text of the finding contains a remedy.
+    """
     samples, norm = first.certificate.settled_trial
     left = half.certificate.settled_trial.norm
     remedy = ""
@@ -298,7 +306,10 @@ def _cost_of_ends(first, half) -> Finding:
 
 
 def _rest_that_mends(design) -> tuple[int, float] | None:
-    """Find a `rest`, in samples, with which the norm of a trial is below one; return both."""
+    """Find a `rest`, in samples, with which the norm of a trial is below one.
+
+    Return the rest and this norm.
+    """
     problem, certificate = design.problem, design.certificate
     L, samples = certificate.scaled_filter, certificate.settled_trial.samples
     for rest in 2 ** np.arange(1, int(np.log2(samples * LONGEST_REST)) + 1):
@@ -312,7 +323,10 @@ def _rest_that_mends(design) -> tuple[int, float] | None:
 
 
 def designed(problem: Problem) -> Synthesis:
-    """Design L = B if L = B is allowed and meets all bounds; else solve the convex problem."""
+    """Design L = B if L = B is allowed and meets all bounds.
+
+    Otherwise, solve the convex problem.
+    """
     if problem.base is None and not problem.square:
         raise needs_square("base = None", problem.p, problem.m)
     design = by_formula(problem) if problem.formula_will_do else None
@@ -320,7 +334,10 @@ def designed(problem: Problem) -> Synthesis:
 
 
 def by_formula(problem: Problem) -> Synthesis | None:
-    """Design L = B, with K = 1; None if B violates a bound, or if K is to be optimised anyway."""
+    """Design L = B, with K = 1.
+
+    Return None if B violates a bound, or if K is to be optimised in any case.
+    """
     if problem.objective.kind != "sum" or problem.objective.band is None:
         return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
@@ -339,7 +356,10 @@ def refuse_failures(certificate: Certificate):
 
 
 def _remedy(problem):
-    """Return a remedy for a problem with bounds at every frequency, else an empty text."""
+    """Return a remedy if the problem has bounds at every frequency.
+
+    Otherwise, return an empty text.
+    """
     if not problem.bounds.everywhere:
         return ""
     return (
@@ -357,7 +377,10 @@ def warn_of_findings(design: Synthesis) -> Synthesis:
 
 
 def certified(problem: Problem) -> Synthesis:
-    """Solve a problem, and certify its filter; the errors are those of :func:`synthesise`."""
+    """Solve a problem, and certify its filter.
+
+    The function raises the same errors as :func:`synthesise`.
+    """
     try:
         grid, solution = solve_everywhere(problem)
     except Infeasible:

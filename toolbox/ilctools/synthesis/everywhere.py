@@ -59,7 +59,10 @@ def _share(problem, solution):
 
 
 def _worst(share):
-    """Select frequencies of violated bounds: every local maximum, and FEW other frequencies."""
+    """Select frequencies at which bounds are violated.
+
+    These are all local maxima of `share`, and FEW other frequencies.
+    """
     passed = np.flatnonzero(share > 1 + ROUNDING_OF_BOUND)
     crests, _ = find_peaks(np.pad(share, 1), height=1 + ROUNDING_OF_BOUND)
     chosen = np.zeros(len(share), bool)

@@ -46,7 +46,10 @@ def whitened_basis(problem):
 
 
 def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
-    """Make the bound on M, (40), or on [M; |Q| r L], for pairs of a plant and a frequency."""
+    """Make the bound on M, (40), for pairs of a plant and a frequency.
+
+    If there is a radius r, the bound is on [M; |Q| r L].
+    """
     if radius is not None:
         radius = np.maximum(radius, SMALLEST_RADIUS * np.abs(problem.P).max())
     F, T = problem.affine(plant, frequency, radius)
@@ -92,7 +95,7 @@ class Formulation:
 
 
 class Levels(NamedTuple):
-    """The levels, which are the right-hand sides of the bounds, by their numbers.
+    """The right-hand sides of the bounds, which are called levels and have numbers.
 
     A level is a variable t, which is minimised, or a fixed limit. The numbers count the t from
     zero, and then the limits.

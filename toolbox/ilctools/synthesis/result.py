@@ -59,7 +59,7 @@ class Synthesis:
 
     @property
     def value(self) -> float:
-        """The value of the objective, (39) or (45), that the filter reaches."""
+        """The value of the objective (39) or (45) for this filter."""
         return self.certificate.value
 
     @property
@@ -96,8 +96,8 @@ class Synthesis:
         limits : dict, optional
             Lowest and highest value of commands and of outputs, by name. Each value is a number, an
             array with one number for each sample, or None for no limit. For limits of commands, see
-            :class:`ilctools.Law`. Limits of outputs are kept in every trial by each plant within
-            the radius of the design. To see the conditions of this guarantee, print the law's
+            :class:`ilctools.Law`. Each plant within the radius of the design keeps the limits of
+            outputs in every trial. To see the conditions of this guarantee, print the law's
             ``output_limits``. If the design has no radius, limits of outputs hold only if the model
             is exact.
         noise : dict, optional
@@ -122,7 +122,10 @@ class Synthesis:
         )  # fmt: skip
 
     def _limits_by_kind(self, limits, noise, model):
-        """Split limits into limits of commands and limits of outputs; each may be None."""
+        """Split limits into limits of commands and limits of outputs.
+
+        Each of the two results may be None.
+        """
         outputs, inputs = ([str(name) for name in names] for names in self.problem.response.names)
         of_outputs = {}
         if isinstance(limits, dict):

@@ -28,8 +28,8 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     arbitrary filter among them. This function returns the filter whose largest sigma_max(L) over
     the frequencies is least. The peak of this filter exceeds the least peak by a relative 1e-9 at
     most. If the solver cannot distinguish filters with such peaks, 1e-6 or 1e-4 is allowed instead.
-    If the least peak is below a hundredth of the peak for L = 0, these tolerances are relative to
-    this hundredth.
+    These tolerances are relative to the least peak, or to 1/100 of the peak for L = 0 if that is
+    larger.
 
     Parameters and errors are the same as for :func:`synthesise`, but `objective` and `L_max` cannot
     be passed. Q must be given, and `base` must be None. The result is a design by (45) with (46),

@@ -14,7 +14,10 @@ WORTH_IT = 1.2  # if the law's own change would divide the error by more than th
 
 
 def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
-    """Return a warning if an output was beyond its limit in the trial before `first` or later."""
+    """Return a warning if an output was beyond its limit.
+
+    The trial before trial `first` and all later trials are examined.
+    """
     kept = law.output_limits
     if kept is None:
         return ""
@@ -33,7 +36,10 @@ def limits_not_kept(trials: xr.Dataset, law: Law, first: int) -> str:
 
 
 def stands_still(trials: xr.Dataset, law: Law) -> str:
-    """Return a warning, and why, if the last trials applied almost none of the law's change."""
+    """Return a warning if the last trials applied almost none of the law's change of v.
+
+    The warning states the reason.
+    """
     kept, parts = law.output_limits, parts_of(trials)[-STILL - 1 :]
     alike = all(np.array_equal(part["reference"], parts[0]["reference"]) for part in parts)
     if kept is None or law.L is None or len(parts) <= STILL or not alike:

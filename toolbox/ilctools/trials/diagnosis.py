@@ -67,7 +67,7 @@ GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
 def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) -> dict[str, str]:
-    """Find evidence in the signals of trials against the convergence of the law that made them.
+    """Look for evidence, in the signals of trials, that their law does not converge.
 
     Parameters
     ----------
@@ -108,7 +108,10 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
 
 
 def _first_finding(test, trials, first):
-    """Return a test's first finding in successive trials; test outputs of one unit together."""
+    """Return the first finding of a test in successive trials.
+
+    Outputs of one unit are tested together.
+    """
     groups = by_unit(trials.output_unit.values.tolist()).values()
     for channels in groups:
         alike = trials.isel(channel=channels)
@@ -120,7 +123,10 @@ def _first_finding(test, trials, first):
 
 
 def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
-    """Add to trials the signal (1 - Q) v that the law removes from v, and Q L e, which it adds."""
+    """Add the signals (1 - Q) v and Q L e to trials.
+
+    The law removes (1 - Q) v from v, and adds Q L e.
+    """
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
     axes = trials.v.dims
@@ -165,7 +171,7 @@ def first_judged(trials: xr.Dataset) -> int:
 
 
 def chance(ratio: float, freedom: float, trials: int) -> float:
-    """Compute the probability that errors of equal variance increase and reach this ratio.
+    """Compute the probability that errors of equal variance increase and reach `ratio`.
 
     The ratio of two mean squares with `freedom` degrees of freedom has an F distribution. The
     largest and the smallest are one of n (n - 1) ordered pairs (Bonferroni). Whatever their sizes
@@ -177,11 +183,12 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
 
 
 def known_plants(law: Law) -> list[Callable]:
-    """Return, for each plant to compare the trials with, a function of omega for P and its radius.
+    """Return, for each plant, a function that computes P and its radius at omega.
 
-    The plants of the design are taken, unless they are a single exact model. Otherwise the P of the
-    loop is taken. If the P of the loop is not known, the model of the design is taken. If neither
-    is known, as for a law that was read from a file, the model in L is taken.
+    The trials are compared with these plants. The plants of the design are taken, unless they are a
+    single exact model. Otherwise the P of the loop is taken. If the P of the loop is not known, the
+    model of the design is taken. If neither is known, as for a law that was read from a file, the
+    model in L is taken.
     """
     region, model = _region(law), getattr(law.loop, "P_v", None)
     if region is None and model is None:
@@ -196,7 +203,10 @@ def known_plants(law: Law) -> list[Callable]:
 
 
 def _region(law):
-    """Return the plants of a law's design; a law from a file has them if it limits outputs."""
+    """Return the plants of a law's design.
+
+    A law from a file has these plants only if it limits outputs.
+    """
     return law.region or (law.output_limits and law.output_limits.region)
 
 
@@ -219,7 +229,10 @@ def model_in(L) -> control.StateSpace | None:
 
 
 def plant_error(law: Law) -> float:
-    """Return the allowed relative error of P; zero if the loop has a P, or if P has a radius."""
+    """Return the allowed relative error of P.
+
+    The error is zero if the loop has a P, or if P has a radius.
+    """
     model, radius = getattr(law.loop, "P_v", None), getattr(_region(law), "radius", None)
     return PLANT_ERROR if model is None and radius is None else 0.0
 
@@ -256,11 +269,11 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
 
 
 def dead_outputs(trials: xr.Dataset) -> dict:
-    """Find outputs that do not move in the last trial, although P predicts a movement.
+    """Find outputs that are constant in the last trial, although P predicts a change.
 
-    A movement is the highest value minus the lowest value. The predicted movement counts if it is
-    more than the fraction STILL of the reference's movement. If a small movement stays within the
-    resolution of a sensor, the sensor is therefore not called dead.
+    The range of a signal is its highest value minus its lowest value. An output is examined only if
+    its predicted range is more than the fraction STILL of the range of the reference. Otherwise a
+    sensor could be called dead because a small change stays within its resolution.
     """
     last = trials.isel(trial=-1)
     y, wanted, moves = (np.ptp(last[name].values, axis=0) for name in ("y", "reference", "moves"))
@@ -309,13 +322,14 @@ def errors_by_octave(law: Law, sigma, trials: xr.Dataset, before: int, k: int) -
 
 
 def plant_differs(law: Law, sigma, trials: xr.Dataset) -> dict:
-    """Test errors, octave by octave (F test), against the prediction from an earlier trial.
+    """Test by an F test in each octave whether errors exceed the prediction of the model.
 
-    The last trial is compared with the trial before, and with the trial of the smallest error so
-    far. The second trial is compared with the first, because most is learned in this step. The null
-    hypothesis is that trials differ from the model's prediction for three reasons only. The first
-    reason is noise that is independent from trial to trial. The second reason is a model error that
-    the bound allows. The third reason is a disturbance that grows by the same amount in each trial.
+    The prediction starts from an earlier trial. The last trial is compared with the previous trial,
+    and with the trial of the smallest error so far. The second trial is compared with the first,
+    because most is learned in this step. The null hypothesis is that trials differ from the model's
+    prediction for three reasons only. The first reason is noise that is independent from trial to
+    trial. The second reason is a model error that the bound allows. The third reason is a
+    disturbance that grows by the same amount in each trial.
     """
     e, size, last = trials.e.values, rms_of(trials.e).values, len(trials.e) - 1
     if last < 2:  # the noise is estimated from two changes or more
@@ -356,7 +370,10 @@ def unexplained(changes, expected) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def degrees_of_freedom(power, first=(0,)) -> np.ndarray:
-    """Compute degrees of freedom of a mean square by octave, from power (harmonic, channel)."""
+    """Compute the degrees of freedom of a mean square, by octave.
+
+    The argument `power` has the shape (harmonic, channel).
+    """
     total, squares = (np.add.reduceat(values.sum(axis=1), first) for values in (power, power**2))
     return np.maximum(2, 2 * total**2 / np.maximum(squares, SMALLEST_DIVISOR))
 

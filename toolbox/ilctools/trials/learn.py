@@ -33,7 +33,10 @@ class Asked(NamedTuple):
 def asked_of(
     law: Law, reference, trials: int, v, reset: bool, pilot: float | None, between: str
 ) -> Asked:
-    """Check the arguments of an experiment, and return its task; the law must know its loop."""
+    """Check the arguments of an experiment, and return its task.
+
+    The law must know its loop.
+    """
     loop, trials = law.loop, arguments.whole("trials", trials, 1)
     reference, asked = filled(reference)
     like = "time", loop.outputs, loop.Ts
@@ -55,7 +58,10 @@ def asked_of(
 
 
 def _first_share(law, reference, v, pilot):
-    """Return the share of the reference that drives trial 1; None if v is given or zero."""
+    """Return the share of the reference that drives trial 1.
+
+    If the first v is given or zero, None is returned.
+    """
     added = law.loop.one_for_one
     if pilot is not None:
         pilot = arguments.number("pilot", pilot, "a share in (0, 1]", 0, most=1)
@@ -81,7 +87,10 @@ def check_between(between: str, loop: Loop, reset: bool) -> None:
 
 
 def _check_output_limits(law, reference, reset, one):
-    """Refuse, before any trial, arguments with which limits of outputs cannot be kept."""
+    """Refuse arguments with which limits of outputs cannot be kept.
+
+    This check is made before any trial.
+    """
     if not reset:
         raise ValueError(
             "reset = False, but limits of outputs need trials that start from "
@@ -98,7 +107,10 @@ def _check_output_limits(law, reference, reset, one):
 
 
 def disturbances_of(loop: Loop, disturbance, trials: int, samples: int) -> np.ndarray:
-    """Return the disturbances of all trials (trial, time, d); None stands for zero."""
+    """Return the disturbances of all trials, shape (trial, time, d).
+
+    If `disturbance` is None, all disturbances are zero.
+    """
     names = loop.disturbances
     d = np.zeros((samples, len(names))) if disturbance is None else disturbance
     return arguments.each_trial("disturbance", d, trials, samples, names, loop.Ts)
@@ -111,9 +123,10 @@ def learn(
     reference: np.ndarray,
     past: Sequence[Part] = (),
 ) -> list[Part]:
-    """Learn to follow a reference (time, p), in parts; with a reset, each part is a trial.
+    """Learn to follow a reference, part by part, and return the parts.
 
-    The equations are those of the paper:
+    The reference has the shape (time, p). With a reset, each part is a trial. The equations are
+    those of the paper:
 
         w_k = r + v_k, or F r + G v_k                                                        (22)
         v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
@@ -161,7 +174,10 @@ def next_v(
 def next_step(
     law: Law, between: str, parts: Sequence[Part], upcoming: np.ndarray | None = None
 ) -> tuple[np.ndarray, Step | None]:
-    """Compute v of the next trial, and the step that keeps limits of outputs, if there is one."""
+    """Compute v of the next trial, and the step that keeps limits of outputs.
+
+    If there are no limits of outputs, there is no step.
+    """
     *past, now = parts
     reference, y = now["reference"], now["y"]
     upcoming = reference if upcoming is None else upcoming[: len(reference)]
@@ -183,7 +199,10 @@ def next_step(
 
 
 def _pilot(law, first):
-    """Return the part of the first v that scales the reference down; zero if there is none."""
+    """Return the part of the first v that scales the reference down.
+
+    If the reference is not scaled down, this part is zero.
+    """
     v, rise = first["v"], first["reference"] - first["reference"][0]
     if law.output_limits is None or v.shape != rise.shape or not rise.any():
         return np.zeros_like(v)

@@ -11,13 +11,13 @@ from ilctools.norm_optimal import NormOptimal
 
 
 def filled(reference):
-    """Replace NaN in a reference, shape (..., time, p), and mark where it had numbers.
+    """Replace NaN in a reference by numbers, and mark where numbers were given.
 
-    Points are the samples with numbers. Between points, the reference follows straight lines, and
-    is constant after the last point. A loop whose v is added to the reference is driven by these
-    numbers. Labels are kept. The function returns the reference with numbers everywhere, and a
-    mark. The mark is one where a number was given, and zero elsewhere. A reference without NaN is
-    returned unchanged, with None as mark.
+    The reference has the shape (..., time, p). Points are the samples with numbers. Between points,
+    the reference follows straight lines, and is constant after the last point. A loop whose v is
+    added to the reference is driven by these numbers. Labels are kept. The function returns the
+    reference with numbers everywhere, and a mark. The mark is one where a number was given, and
+    zero elsewhere. A reference without NaN is returned unchanged, with None as mark.
     """
     values = np.array(reference, dtype=float) if _may_hold_numbers(reference) else np.zeros(0)
     absent = np.isnan(values)
@@ -55,14 +55,21 @@ def _like(labelled, values):
 
 
 def one_mask(asked) -> np.ndarray:
-    """Return the samples with a reference, (time, p); all trials (trial, time, p) must agree."""
+    """Return the samples with a reference, shape (time, p).
+
+    The argument has the shape (trial, time, p). All trials must have a reference at the same
+    samples.
+    """
     if np.any(asked != asked[0]):
         raise ValueError("reference must have NaN at the same samples of all trials")
     return asked[0] > 0
 
 
 def asking(law: Law, asked: np.ndarray) -> Law:
-    """Return the law with an L that learns only from the samples in `asked`, (time, p)."""
+    """Return the law with an L that learns only from the samples in `asked`.
+
+    The argument `asked` has the shape (time, p).
+    """
     if law.L is None:
         return law
     if not isinstance(law.L, NormOptimal):

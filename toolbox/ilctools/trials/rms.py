@@ -10,10 +10,11 @@ SMALLEST_DIVISOR = np.finfo(float).tiny  # replaces a divisor that is zero
 
 
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
-    """Compute the RMS of the error of each trial: the root of the mean over time of e'e.
+    """Compute the RMS of the error of each trial.
 
-    The product e'e is the sum of squares over all channels. If the reference is given at some
-    points only, the mean of each output is taken over these points.
+    The RMS is the square root of the mean of e'e over time. The product e'e is the sum of squares
+    over all channels. If the reference is given at some points only, the mean of each output is
+    taken over these points.
 
     Parameters
     ----------
@@ -69,9 +70,11 @@ def rms_of(e: xr.DataArray) -> xr.DataArray:
 
 
 def harmonics(signals) -> np.ndarray:
-    """Compute Fourier coefficients (..., harmonic, channel) of signals (..., time, channel).
+    """Compute the Fourier coefficients of signals.
 
-    The squares of the coefficients add up to the mean square of the signal.
+    The signals have the shape (..., time, channel), and the coefficients have the shape
+    (..., harmonic, channel). The squares of the coefficients add up to the mean square of the
+    signal.
     """
     samples = signals.shape[-2]
     coefficients = np.fft.rfft(signals, axis=-2) / samples
@@ -85,12 +88,15 @@ def octaves(samples: int) -> np.ndarray:
 
 
 def rms_by_octave(signal) -> np.ndarray:
-    """Compute the RMS of a signal (time, channel) in each octave, over all channels."""
+    """Compute the RMS of a signal in each octave, over all channels.
+
+    The signal has the shape (time, channel).
+    """
     power = np.sum(np.abs(harmonics(signal)) ** 2, axis=1)
     return np.sqrt(np.add.reduceat(power, octaves(len(signal))))
 
 
 def noise_std(signals) -> np.ndarray:
-    """Estimate the standard deviation of white noise in signals (time, channel)."""
+    """Estimate the standard deviation of white noise in signals of shape (time, channel)."""
     bends = np.diff(signals, 2, axis=0)
     return np.sqrt(np.sum(bends**2, axis=0) / (6 * max(1, len(bends))))

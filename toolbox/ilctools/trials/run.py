@@ -172,7 +172,11 @@ def _dataset(loop, **signals):
 
 
 def _learned(simulated, following, reset, *inputs):
-    """Simulate trials; `inputs` are reference, disturbance and noise, (trial, time, channel)."""
+    """Simulate trials under learning.
+
+    The `inputs` are the reference, the disturbance and the noise, each of shape
+    (trial, time, channel).
+    """
     references, flows, white = map(np.concatenate, inputs)
     with progress(total=len(references), desc="samples", delay=PATIENCE) as bar:
 
@@ -188,7 +192,7 @@ def _learned(simulated, following, reset, *inputs):
 
 
 class _Simulated:
-    """A simulation of the loop (19) around a plant, or of P for a ClosedLoop."""
+    """A simulation of trials: of the loop (19) around a plant, or of the P of a ClosedLoop."""
 
     def __init__(self, loop, plant, actuators, initial_state):
         self.loop, self.actuators = loop, actuators
@@ -224,14 +228,20 @@ class _Simulated:
         return signals | {"y": y, "delta": x[:, -w.shape[1] :]} if self.ours else {"y": y}
 
     def response(self, inputs):
-        """Compute states, outputs y and commands u; the model's outputs are y, then u."""
+        """Compute the states, the outputs y and the commands u.
+
+        The outputs of the model are first y and then u.
+        """
         model, p = self.model, len(self.loop.outputs)
         x = state_sequence(model.A, inputs @ model.B.T, self.state)  # (19)
         y_and_u = x @ model.C.T + inputs @ model.D.T  # (18)
         return x, y_and_u[:, :p], y_and_u[:, p:]
 
     def within_limits(self, inputs):
-        """Replace w by the w that asks for the applied commands; return inputs and requested u."""
+        """Replace w by the w that asks for the applied commands.
+
+        The function returns the inputs with this w, and the requested commands u.
+        """
         model, outputs, m = self.model, len(self.loop.outputs), len(self.loop.inputs)
         inputs, u = inputs.copy(), np.empty((len(inputs), len(self.loop.commands)))
         x = self.state

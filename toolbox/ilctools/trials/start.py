@@ -27,7 +27,10 @@ class Start:
 
     @classmethod
     def of(cls, y, reference, loop: Loop) -> "Start":
-        """Take the start of the first trial from its outputs and reference, (time, output)."""
+        """Take the start of the first trial from its outputs and its reference.
+
+        Both signals have the shape (time, output).
+        """
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts are noisy
         tolerance = NEAR_START * largest_by_unit(reference, loop) + noise
         labels = [with_unit(name, loop.units[name]) for name in loop.outputs]

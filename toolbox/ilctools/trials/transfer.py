@@ -72,7 +72,7 @@ UNCERTAIN = 0.2  # a larger share of v that is uncertain gives a warning
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """The first v for another reference, and the uncertainty of this v.
+    """The v for the first trial of a new reference, and the uncertainty of this v.
 
     Signals have the shape (time, m). The uncertainty has two parts. The first part, the jackknife,
     comes from fits, each of which leaves out one block of time. The second part is the distance to
@@ -161,7 +161,10 @@ def transfer(
 
 
 def _signals(trials):
-    """Return v, y and reference, (trial, time, output), names of outputs, and the period."""
+    """Return v, y, the reference, the names of the outputs, and the sampling period.
+
+    The signals have the shape (trial, time, output).
+    """
     signals, tasks, periods = ("v", "y", "reference"), [], {}
     for task in trials if isinstance(trials, list | tuple) and trials else [trials]:
         task = arguments.instance("trials", task, xr.Dataset)
@@ -192,7 +195,7 @@ def _signals(trials):
 
 
 def _model(model, outputs, period):
-    """Check the model and return P as a model; None without a model."""
+    """Check the model, and return P; return None if there is no model."""
     if isinstance(model, Loop):
         if model.P_v is None or not model.one_for_one:
             raise ValueError(
@@ -215,12 +218,18 @@ def _model(model, outputs, period):
 
 
 def first_signal(v, y, references, reference, model: Model | None = None) -> np.ndarray:
-    """Compute v for a reference (time, m) from signals of trials (trial, time, m) and a model."""
+    """Compute v for a new reference from the signals of trials and a model.
+
+    The new reference has the shape (time, m). The signals have the shape (trial, time, m).
+    """
     return _fitted(v, y, references, reference, model).v
 
 
 def _inverse(model, size, samples):
-    """Return a function that applies M^+ of (5) to a signal (time, m) in units of `size`."""
+    """Return a function that applies M^+ of (5) to a signal.
+
+    The signal has the shape (time, m) and is in units of `size`.
+    """
     if model is None:
         return lambda signal: signal
     M = control.ss(
@@ -233,14 +242,21 @@ def _inverse(model, size, samples):
 
 
 def _sizes(signals):
-    """Compute the RMS of each channel of trials, (m,); a channel that is zero counts as one."""
+    """Compute the RMS of each of the m channels of trials.
+
+    If a channel is zero, its RMS is replaced by one.
+    """
     size = np.sqrt(np.mean(signals**2, axis=(0, 1)))
     size[size == 0] = 1.0
     return size
 
 
 def _fitted(v, y, references, reference, model):
-    """Fit F and c to trials (trial, time, m), and apply both to another reference (time, m)."""
+    """Fit F and c to trials, and apply F and c to a new reference.
+
+    The signals of trials have the shape (trial, time, m). The new reference has the shape
+    (time, m).
+    """
     _, samples, m = y.shape
     inverse, new_inverse = (_inverse(model, _sizes(y), N) for N in (samples, len(reference)))
     z, z_new = np.array([inverse(output) for output in y]), new_inverse(reference)
@@ -260,7 +276,11 @@ def _fitted(v, y, references, reference, model):
 
 
 def _uncertainty(fits, new, by_fit, without, rho):
-    """Compute how v changes without a block of time, or if differences alone are used, (m,)."""
+    """Compute the uncertainty of the first v, for each of the m channels.
+
+    The uncertainty shows how v changes if a block of time is left out, and if only differences
+    between trials are used.
+    """
     apart = fits.first_signal(new, without, rho) - by_fit
     jackknife = (1 - 1 / BLOCKS) * np.sum(apart**2, axis=0)
     by_differences, _ = fits.likeliest([0.0])
@@ -269,7 +289,10 @@ def _uncertainty(fits, new, by_fit, without, rho):
 
 
 def _basis(reach):
-    """Make the basis of F, (lags, taps): slopes from lag 0 to other lags, and lag 0 by itself."""
+    """Make the basis of F, shape (lags, taps).
+
+    The basis consists of slopes from lag 0 to other lags, and of lag 0 by itself.
+    """
     knots = [0, 1]
     while knots[-1] < reach:
         knots.append(min(reach, round(LAG_RATIO * knots[-1])))
@@ -283,7 +306,10 @@ def _basis(reach):
 
 
 def _taps(signal, basis):
-    """Filter a signal (time, m), constant beyond its ends, by each tap, (time, m taps)."""
+    """Filter a signal by each tap; the signal is constant beyond its ends.
+
+    The signal has the shape (time, m), and the result has the shape (time, m taps).
+    """
     reach = len(basis) // 2
     extended = np.pad(signal, [(reach, reach), (0, 0)], mode="edge")
     taps = oaconvolve(extended[..., None], basis[:, None], mode="valid", axes=0)
@@ -291,13 +317,17 @@ def _taps(signal, basis):
 
 
 def _products(columns):
-    """Compute inner products of columns in each block of time, (blocks, columns, columns)."""
+    """Compute the inner products of columns in each block of time.
+
+    The result has the shape (blocks, columns, columns).
+    """
     return np.array([block.T @ block for block in np.array_split(columns, BLOCKS)])
 
 
 class _Fits:
-    """Fits of m targets t_k by p regressors Phi_k, shapes (trial, time, m) and (trial, time, p).
+    """Fits of m targets t_k by p regressors Phi_k.
 
+    The targets have the shape (trial, time, m), and the regressors have the shape (trial, time, p).
     The flag `known` says whether the fits are deviations from a model, which may be diagonal.
     """
 
@@ -312,12 +342,18 @@ class _Fits:
         self.products = np.array([within, self.K * _products(self.mean)])  # the sums of (4)
 
     def first_signal(self, new, f, rho):
-        """Compute F r + c with c of (3); `new` are the regressors of r."""
+        """Compute F r + c, with c of (3), for a new reference r.
+
+        The argument `new` holds the regressors of r.
+        """
         Phi, t = np.split(np.pad(self.mean, [(0, len(new)), (0, 0)])[: len(new)], [-self.m], axis=1)
         return new @ f + (1 - rho) * (t - Phi @ f)
 
     def likeliest(self, ratios):
-        """Find f, (p, m), by the likeliest weights of each output, and f without each block."""
+        """Find f with the likeliest weights of each output, and f without each block of time.
+
+        f has the shape (p, m).
+        """
         candidates = [*product(ratios, (1.0, STATIC_WEIGHT), self.coupling, WEIGHTS)]
         best = np.argmax([self.likelihood(*weights) for weights in candidates], axis=0)
         fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
@@ -325,7 +361,10 @@ class _Fits:
         return f, np.array(without)
 
     def solve(self, rho, static, coupling, weight):
-        """Compute f of (4) from all blocks, then without each block, shape (1 + blocks, p, m)."""
+        """Compute f of (4) from all blocks of time, and then without each block.
+
+        The result has the shape (1 + blocks, p, m).
+        """
         blocks = np.tensordot([1, rho], self.products, 1)
         total = blocks.sum(axis=0)
         sums, p = np.concatenate([total[None], total - blocks]), len(total) - self.m
@@ -340,13 +379,20 @@ class _Fits:
         return np.concatenate(f, axis=2)
 
     def squares(self, f):
-        """Compute sums of squares of t - Phi f within and between trials, with an f by block."""
+        """Compute the sums of squares of t - Phi f in each block of time.
+
+        The f of a block is passed for each block. The sums are computed for differences between
+        trials, and for means of trials.
+        """
         one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
         R = np.concatenate([-f, one], axis=1)  # from (Phi, t) to t - Phi f
         return np.maximum(0, np.sum(R * (self.products @ R), axis=(1, 2)))  # rounding may be < 0
 
     def likelihood(self, rho, static, coupling, weight):
-        """Compute the log-likelihood of each output, in blocks that the fit left out."""
+        """Compute the log-likelihood of each output.
+
+        Each block of time is predicted by a fit that left this block out.
+        """
         without = self.solve(rho, static, coupling, weight)[1:]
         no_F = np.zeros_like(without)
         power = self.squares(no_F).sum(axis=0)
@@ -356,7 +402,10 @@ class _Fits:
         return [1 - self.K, -1] @ np.log(self.squares(without) + floor) - prior
 
     def variances(self, without):
-        """Estimate rho, and the predicted share, (m,), from residuals in blocks left out."""
+        """Estimate rho, and the predicted share of each of the m outputs.
+
+        Both are computed from residuals in blocks of time that the fits left out.
+        """
         no_F = np.zeros_like(without)
         missed, power = self.squares(without), self.squares(no_F)
         rho = np.ones(self.m)

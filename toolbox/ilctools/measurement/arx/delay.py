@@ -30,10 +30,10 @@ WHITENING = 0.8
 
 
 def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=None) -> Fit:
-    """Find the likeliest fit, with the least delays (m + d,) or with delays from correlations.
+    """Find the likeliest fit, with the least delays or with delays from correlations.
 
-    `data_of` explains `direct` and `gain`. The cost of a fit is (4) in `likelihood`, plus the cost
-    of its delays.
+    The argument `least` holds the least delay of each input, shape (m + d,). `data_of` explains
+    `direct` and `gain`. The cost of a fit is (4) in `likelihood`, plus the cost of its delays.
     """
     commanded, longest = groups[0].commanded, longest_of(groups)
     alone = [slice(j, j + 1) for j in range(commanded, len(least))]
@@ -58,16 +58,19 @@ def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=
 
 
 def _anew(eta):
-    """Return eta with a new guess of the size of B: without the delay, a fit makes B too small."""
+    """Return eta with a new guess of the size of B.
+
+    The old size comes from a fit without the delay. Such a fit makes B too small.
+    """
     guess = Hyperparameters(*FIRST_GUESSES[0]).log_c_B
     return np.array(Hyperparameters(*eta)._replace(log_c_B=guess))
 
 
 def _latest(groups, differences):
-    """Find the lag of largest correlation of each input with the output, (m + d,).
+    """Find, for each input, the lag of its largest correlation with the output.
 
-    `differences` is 0 for the correlation of signals, and 1 for the correlation of their changes
-    from sample to sample.
+    The result has the shape (m + d,). `differences` is 0 for the correlation of signals, and 1 for
+    the correlation of their changes from sample to sample.
     """
     longest, products = longest_of(groups), 0.0
     for group in groups:

@@ -80,12 +80,12 @@ class Likelihood:
 
     @property
     def gradient(self) -> np.ndarray:
-        """The gradient of (4) with respect to eta, (entry,)."""
+        """The gradient of (4) with respect to eta, shape (entry,)."""
         return self._slopes.first
 
     @property
     def curvature(self) -> np.ndarray:
-        """The matrix of second derivatives of (4) with respect to eta, (entry, entry)."""
+        """The second derivatives of (4) with respect to eta, shape (entry, entry)."""
         return self._slopes.second
 
     def _of_parts(self):
@@ -126,7 +126,11 @@ class Likelihood:
 
 
 def _slopes_of_log_D(eta, layout):
-    """Compute J, (unknown, entry), and the second derivative of log D by log T, (unknown,)."""
+    """Compute first and second derivatives of log D with respect to eta.
+
+    The first result is the Jacobian J, shape (unknown, entry). The other result is the second
+    derivative with respect to log T, shape (unknown,). All other second derivatives are zero.
+    """
     of_D = prior(Hyperparameters(*eta), layout)
     kinds = [NAMES.index(kind.hyperparameter) for kind in Kind]
     J = np.zeros((layout.size, len(NAMES)))
@@ -151,7 +155,7 @@ class Fit(NamedTuple):
 
 
 def likeliest(data: Data, first=FIRST_GUESSES, least: float = np.inf) -> Fit:
-    """Find the minimum of (4) from the first guesses.
+    """Search for the minimum of (4), once from each first guess.
 
     If a search is not expected to come below `least`, the search ends early, at a value above
     `least`.
@@ -184,7 +188,10 @@ def _search(data, first, least):
 
 
 class Newton(NamedTuple):
-    """A Newton step, with a curvature of (4) that is at least the prior's smallest one."""
+    """A Newton step, computed from the curvature of (4).
+
+    Curvatures below the smallest curvature of the prior are replaced by this smallest curvature.
+    """
 
     step: np.ndarray  # (entry,)
     gain: float  # by how much a parabola falls in this step
@@ -201,9 +208,10 @@ def newton(at: Likelihood) -> Newton:
 
 
 def polished(fit: Fit) -> tuple[Fit, np.ndarray]:
-    """Refine a fit up to rounding; also return S, where the curvature of (4) is (S S)^-1.
+    """Refine a fit up to rounding; return the fit and a symmetric matrix S.
 
-    The estimate then does not depend on where a search ends.
+    The curvature of (4) is (S S)^-1. After the refinement, the estimate does not depend on the
+    point at which a search ends.
     """
     at = Likelihood(fit.eta, fit.data)
     for _ in range(NEWTON_STEPS):

@@ -38,7 +38,7 @@ class Posterior(NamedTuple):
 
     @property
     def z(self) -> np.ndarray:
-        """The mean of the unknowns in units of D^(1/2): D^(-1/2) x."""
+        """The mean D^(-1/2) x of the unknowns in units of D^(1/2)."""
         return solve_triangular(self.U, self.h, check_finite=False)
 
     @property
@@ -57,7 +57,10 @@ class Posterior(NamedTuple):
         return np.triu(inverse) + np.triu(inverse, 1).T
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Compute W = U'^-1 D^(1/2) Z for columns Z; the covariance of Z' x is s^2 W' W."""
+        """Compute W = U'^-1 D^(1/2) Z for columns Z.
+
+        The covariance of Z' x is then s^2 W' W.
+        """
         return solve_triangular(self.U, self.root_D[:, None] * columns, trans=1)
 
 

@@ -83,7 +83,10 @@ LARGEST_LOGARITHM = 50.0
 
 
 def standardised(eta: np.ndarray, variance: float) -> np.ndarray:
-    """Compute the distance of eta from its centre, in widths, if s^2 is this variance."""
+    """Compute the distance of eta from the centre of its prior, in units of the width.
+
+    The argument `variance` is s^2.
+    """
     return (eta + OF_OUTPUT * np.log(variance) - CENTRE) / WIDTH
 
 

@@ -23,7 +23,10 @@ HEAVY = 1.2  # width of the tails of eta, relative to normal tails, found by cou
 
 
 def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
-    """Compute the covariance of the unknowns x over the points (5), (unknown, unknown)."""
+    """Compute the covariance of the unknowns x over the points (5).
+
+    The result has the shape (unknown, unknown).
+    """
     apart = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])  # (5); S is symmetric
     points = np.clip(eta + apart, -LARGEST_LOGARITHM, LARGEST_LOGARITHM)
     mean, C = posterior(eta, data).mean, 0.0

@@ -63,7 +63,7 @@ class Regression:
     C: np.ndarray  # covariance of x, over the points of the quadrature, (unknown, unknown)
 
     def response(self, omega: np.ndarray) -> np.ndarray:
-        """Compute P at angles omega Ts, shape (n, m)."""
+        """Compute P at n angles omega Ts; the result has the shape (n, m)."""
         A, layout = self._A(omega), self.data.layout
         B = [
             layout.waves_of_B(j, omega) @ self.mean[layout.where_B(j)]
@@ -76,7 +76,7 @@ class Regression:
         return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
 
     def covariance(self, omega: np.ndarray) -> ErrorOfP:
-        """Compute the covariance of dP of (6) at angles omega Ts, (n,)."""
+        """Compute the covariance of dP, see (6), at n angles omega Ts."""
         layout, P, A = self.data.layout, self.response(omega), self._A(omega)[:, None]
         of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
         of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
@@ -101,7 +101,10 @@ class Regression:
 
     @property
     def stable(self) -> bool:
-        """Whether the estimate of A has no zero outside the unit circle, by its winding number."""
+        """Whether the estimate of A has no zero outside the unit circle.
+
+        The zeros are counted by the winding number of A.
+        """
         return bool(abs(self._turns.sum()) < 1)
 
     @property
@@ -112,17 +115,20 @@ class Regression:
 
     @property
     def _turns(self):
-        """Phase change of A from each angle to the next, from zero to pi."""
+        """The phase change of A between neighbouring angles, on a grid from zero to pi."""
         a = self.denominator
         A = np.fft.rfft(a, 2 * len(a) + 4096)
         return np.angle(A[1:] / A[:-1])
 
     def denominator_at(self, omega: np.ndarray) -> np.ndarray:
-        """Compute A at angles omega Ts, (n,)."""
+        """Compute A at n angles omega Ts."""
         return self._A(omega)
 
     def numerators(self, n: int) -> np.ndarray:
-        """Compute the estimates of B over n lags, (m + d, n); known disturbances stand last."""
+        """Compute the estimates of B over n lags; the result has the shape (m + d, n).
+
+        The m commanded inputs stand first, and the d known disturbances stand last.
+        """
         layout, poles, B = self.data.layout, self.data.layout.poles, []
         for j, knots in enumerate(layout.knots_of_B):
             B.append(coefficients(self.mean[layout.where(Kind.B, j)], knots, n))
@@ -131,11 +137,11 @@ class Regression:
         return np.array(B)
 
     def impulse(self, n: int) -> np.ndarray:
-        """Compute the impulse responses over n samples to all inputs, (m + d, n).
+        """Compute the impulse responses to all inputs over n samples.
 
-        Impulse responses are the coefficients of the power series B / A, transformed back from
-        values of the series on a circle. The transform adds each coefficient to the coefficient
-        n_fft samples earlier, with the weight `FOLDED`.
+        The result has the shape (m + d, n). Impulse responses are the coefficients of the power
+        series B / A, transformed back from values of the series on a circle. The transform adds
+        each coefficient to the coefficient n_fft samples earlier, with the weight `FOLDED`.
         """
         longest = max(n, self.data.layout.lags + 1)
         n_fft = next_fast_len(4 * longest)
@@ -147,9 +153,10 @@ class Regression:
         return np.where(at_rest, 0.0, answers)
 
     def residual(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Compute A y - B u of trials that begin at rest, (trial, time).
+        """Compute A y - B u of trials that begin at rest.
 
-        The start, the line and the drift of (1) are not subtracted.
+        The result has the shape (trial, time). The start, the line and the drift of (1) are not
+        subtracted.
         """
         B = self.numerators(y.shape[1])
         answer = fftconvolve(u, B.T[None], axes=1)[:, : y.shape[1]].sum(axis=2)

@@ -26,7 +26,10 @@ STRETCH = 8192  # samples of X at a time, which take some 30 MB
 
 
 class Regressors:
-    """X' of a series, (unknown, time), computed in parts, because X may take gigabytes."""
+    """The transposed regressors X' of a series, shape (unknown, time).
+
+    X' is computed in parts, because the whole matrix may take gigabytes.
+    """
 
     def __init__(self, series: Series, layout: Layout):
         self.samples, self.layout = len(series.y), layout
@@ -46,7 +49,10 @@ class Regressors:
             self._drift = layout.where(Kind.DRIFT, series.key.group)
 
     def rows(self, begin: int = 0, end: int | None = None, more: int = 0) -> np.ndarray:
-        """Compute X' from sample `begin` to before `end`, followed by `more` rows of zeros."""
+        """Compute X' from sample `begin` up to the sample before `end`.
+
+        The rows of X' are followed by `more` rows of zeros.
+        """
         end = self.samples if end is None else end
         X = np.zeros((self.layout.size + more, end - begin))
         for where, lagged in self._lagged:
@@ -60,16 +66,20 @@ class Regressors:
 
 
 def _slow_parts(u, poles):
-    """Compute the responses (1 - p) / (z - p) u, (pole, time)."""
+    """Compute the response (1 - p) / (z - p) u for each pole p.
+
+    The result has the shape (pole, time).
+    """
     return np.array([lfilter([0, 1 - p], [1, -p], u) for p in poles])
 
 
 class Lagged:
-    """T(u) H, transposed: a signal (time,) filtered by each column of H, (knot, time).
+    """The transpose of T(u) H, shape (knot, time).
 
-    A column of H has the value one from the first knot to its own knot. From there the column falls
-    to zero at the next knot, in a straight line. Each column therefore computes a running sum of u,
-    minus the mean of earlier running sums.
+    This is a signal u, shape (time,), that is filtered by each column of H. A column of H has the
+    value one from the first knot to its own knot. From there the column falls to zero at the next
+    knot, in a straight line. Each column therefore computes a running sum of u, minus the mean of
+    earlier running sums.
     """
 
     def __init__(self, signal: np.ndarray, knots: np.ndarray):
@@ -77,7 +87,7 @@ class Lagged:
         self._sums = np.append(np.zeros(self._before), np.cumsum(signal))
 
     def write(self, rows: np.ndarray, begin: int = 0) -> None:
-        """Write T(u) H into rows (knot, time), from sample `begin` on."""
+        """Write the transpose of T(u) H into `rows`, shape (knot, time), from `begin` on."""
         knots, begin = self._knots, begin + self._before
         end = begin + rows.shape[1]
         now = self._sums[begin - knots[0] : end - knots[0]]
@@ -90,10 +100,10 @@ class Lagged:
 
 
 class Data(NamedTuple):
-    """All information about the unknowns of a layout: products Z Z' of Z = [X, y, ...]'.
+    """All information about the unknowns of a layout: products Z Z'.
 
-    Offset and slope are removed from Z. Means over trials are kept apart, because they have a
-    weight of their own.
+    Z = [X, y, ...]' holds the regressors, the output and possibly further rows. Offset and slope
+    are removed from Z. Means over trials are kept apart, because they have a weight of their own.
     """
 
     layout: Layout
@@ -103,16 +113,18 @@ class Data(NamedTuple):
     n_1: int  # number of samples of means among the n samples
 
     def weighted(self, weight: float) -> np.ndarray:
-        """Add up the products of all series, with a weight for the means."""
+        """Add up the products of all series; the products of means have this weight."""
         return self.single + weight * self.means
 
 
 def products(
     groups: Sequence[Trials], layout: Layout, beside: Callable[[Series], Sequence] = lambda _: ()
 ) -> Data:
-    """Compute the products of [X, y], and of further rows behind [X, y].
+    """Compute Z Z', summed over all series.
 
-    `beside` returns the further rows of a series, (row, time).
+    Z consists of the rows of X', y' and the further rows that `beside` returns. An offset and a
+    slope are removed from each series beforehand. For a series, `beside` returns rows of the shape
+    (row, time).
     """
     single, means, n, n_1 = 0.0, 0.0, 0, 0
     for series in series_of(groups):
@@ -127,7 +139,10 @@ def products(
 
 
 def _products(regressors, beside):
-    """Compute Z Z' - (Z l) (Z l)' of one series: the products without offset and slope."""
+    """Compute Z Z' - (Z l) (Z l)' of one series.
+
+    These are the products Z Z' after an offset and a slope are removed from the rows of Z.
+    """
     skipped = regressors.layout.skipped
     line = np.linalg.qr(np.vander(np.linspace(-1, 1, beside.shape[1] - skipped), 2))[0]
     products, on_line = 0.0, 0.0
@@ -154,7 +169,10 @@ def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=Non
 
 
 def _at_rest(layout, j, known):
-    """Compute the products of a further, almost exact row of [X, y]: B_j(1) = known A(1)."""
+    """Compute the products of a further row of [X, y], which states B_j(1) = known A(1).
+
+    The weight of this row is so large that the equation holds almost exactly.
+    """
     row, rest = np.zeros(layout.size + 1), np.zeros(1)
     row[layout.where(Kind.A)] = -known * layout.waves_of_A(rest)[0].real
     row[layout.where_B(j)] = layout.waves_of_B(j, rest)[0].real

@@ -19,7 +19,7 @@ from scipy.linalg import helmert
 
 @dataclass(frozen=True)
 class Trials:
-    """A group: trials of the same length, in all of which the same disturbance may repeat."""
+    """A group of trials of the same length; one disturbance may repeat in all of them."""
 
     # The commanded inputs, relative to their values before the trial, and then the known
     # disturbances, relative to the first sample, (trial, time, m + d).
@@ -40,7 +40,7 @@ def longest_of(groups: Sequence[Trials]) -> int:
 
 
 class SeriesKey(NamedTuple):
-    """The key of a series, by which its unknowns and its other parts are found."""
+    """The key under which the unknowns and other parts of a series are stored."""
 
     group: int  # the position of its group
     contrast: int  # 0 for the mean of the group's trials, then the differences between them
@@ -79,5 +79,8 @@ def series_of(groups: Sequence[Trials]) -> Iterator[Series]:
 
 
 def contrasts(signal: np.ndarray) -> np.ndarray:
-    """Compute the contrasts (contrast, ...) of trials (trial, ...): mean and differences."""
+    """Compute the contrasts of trials: their mean and their differences.
+
+    The trials have the shape (trial, ...), and the contrasts have the shape (contrast, ...).
+    """
     return np.tensordot(helmert(len(signal), full=True), signal, 1)

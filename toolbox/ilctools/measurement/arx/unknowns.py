@@ -97,17 +97,17 @@ class Layout:
 
     @cached_property
     def kind(self) -> np.ndarray:
-        """The kind of each unknown, (unknown,)."""
+        """The kind of each unknown, shape (unknown,)."""
         return np.repeat([b.kind for b in self.blocks], [len(b.lag) for b in self.blocks])
 
     @cached_property
     def lag(self) -> np.ndarray:
-        """The lag of each unknown, (unknown,), see :class:`Block`."""
+        """The lag of each unknown, shape (unknown,), see :class:`Block`."""
         return np.concatenate([block.lag for block in self.blocks])
 
     @cached_property
     def gap(self) -> np.ndarray:
-        """The gap of each unknown, (unknown,), see :class:`Block`."""
+        """The gap of each unknown, shape (unknown,), see :class:`Block`."""
         return np.concatenate([block.gap for block in self.blocks])
 
     @property
@@ -137,11 +137,17 @@ class Layout:
         return self.knots_of_A[-1]
 
     def waves_of_A(self, omega: np.ndarray) -> np.ndarray:
-        """Compute what each unknown of A adds to A - 1 at angles omega Ts, (n, unknown)."""
+        """Compute what each unknown of A adds to A - 1 at n angles omega Ts.
+
+        The result has the shape (n, unknown).
+        """
         return waves(self.knots_of_A, omega)
 
     def waves_of_B(self, j: int, omega: np.ndarray) -> np.ndarray:
-        """Compute what each unknown of B adds to the B of input j at omega Ts, (n, unknown)."""
+        """Compute what each unknown of B adds to the B of input j at n angles omega Ts.
+
+        The result has the shape (n, unknown).
+        """
         slow = (1 - self.poles) / (np.exp(1j * omega)[:, None] - self.poles)
         return np.hstack([waves(self.knots_of_B[j], omega), slow])
 
@@ -175,11 +181,11 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
 
 
 def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
-    """Choose the knots of the starts of `series` series; `late` is the latest delay, in samples.
+    """Choose the knots of the starts, for this number of series.
 
-    Until this delay has passed, inputs from before the series still act on the output, and their
-    effect may be of any form. There is then a knot at each sample, unless all starts together would
-    have too many.
+    The argument `late` is the latest delay, in samples. Until this delay has passed, inputs from
+    before the series still act on the output, and their effect may be of any form. There is then a
+    knot at each sample, unless all starts together would have too many.
     """
     coarse = late + knots_between(0, reach, CLOSE_KNOTS_OF_STARTS, KNOTS_STEP_OF_STARTS)
     fine = np.union1d(np.arange(late), coarse)
@@ -187,7 +193,11 @@ def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:
 
 
 def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:
-    """Choose lags from the first to the last: all up to `close`, then ever further apart."""
+    """Choose lags from `first` to `last`.
+
+    All lags up to `close` are chosen. Beyond `close`, the chosen lags are further and further
+    apart.
+    """
     knots = [first]
     while knots[-1] < last:
         apart = 1 + max(0, knots[-1] - close) // step
@@ -196,12 +206,15 @@ def knots_between(first: int, last: int, close: int, step: int) -> np.ndarray:
 
 
 def waves(knots: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Compute the frequency response of each column of H, (n, knot), by geometric series."""
+    """Compute the frequency response of each column of H, by geometric series.
+
+    The result has the shape (n, knot).
+    """
     gap, omega = np.append(np.diff(knots), 1), np.where(omega, omega, 1e-200)[:, None]
     earlier = np.exp(-1j * omega * (knots + (gap + 1) / 2)) * diric(omega, gap)
     return (np.exp(-1j * omega * knots[0]) - earlier) / (1 - np.exp(-1j * omega))
 
 
 def coefficients(x: np.ndarray, knots: np.ndarray, n: int) -> np.ndarray:
-    """Compute H x for n lags, filled up with zeros or truncated."""
+    """Compute the first n entries of H x; entries beyond the last knot are zero."""
     return np.interp(np.arange(n), knots, np.cumsum(x[::-1])[::-1], 0, 0)

@@ -1,4 +1,4 @@
-"""A bound on a largest singular value that is affine in the filter.
+"""A bound on the largest singular value of a matrix that is affine in the filter.
 
 There are two kinds of bounds, and one class for both. The plain bound is sigma_max(G) <= b, with G
 = F + T L. The bound for all plants within a radius is sigma_max(M + E H) <= b for every E of norm

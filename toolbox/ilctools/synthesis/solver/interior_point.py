@@ -133,7 +133,7 @@ class Point:
 
     @cached_property
     def gap(self):
-        """The gap between objective and dual value, which is valid if (2) holds up to rounding."""
+        """The objective minus the dual value; it is a valid gap if (2) holds up to rounding."""
         return max(self.complementarity, abs(self.objective - self.dual_value))
 
     @cached_property
@@ -158,7 +158,10 @@ def sums(parts, changes, length):
 
 
 def begin(program, x):
-    """Make a point at x that fulfils (4); the limits of bounds that x violates are raised."""
+    """Make a point at x that fulfils (4).
+
+    If x violates a bound, the limit of this bound is raised.
+    """
     G = program.matrices(x)
     shares = [bound.first_share(G_j) for bound, G_j in zip(program.bounds, G, strict=True)]
     t, peaks = program.largest(program.values(x, shares))
@@ -219,7 +222,7 @@ class Newton:
         return d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
 
     def refined(self, d):
-        """Correct a direction until the residual of (2) that rounding has caused is small.
+        """Correct a direction until the residual of (2), which rounding has caused, is small.
 
         This is the method of conjugate residuals [5]: the effect of each correction is made
         orthogonal to the effects of all earlier corrections.
@@ -242,7 +245,7 @@ class Newton:
 
 
 def moved_best(d, change, residual):
-    """Add the multiple of a change to a direction with which the residual of (2) is least."""
+    """Add a multiple of `change` to a direction, such that the residual of (2) is least."""
     effect = change.stationarity
     length = -(effect * residual).sum() / (effect**2).sum()
     return d.moved(change, length, length)
@@ -268,7 +271,10 @@ def mehrotra(p):
 
 
 def advanced(p, direction):
-    """Take a step in which all inequalities stay strict; None if the step is too short."""
+    """Take a step after which all inequalities are still strict.
+
+    If this step is too short, return None.
+    """
     lengths = step_lengths(p, direction)
     damping = LEAST_DAMPING + MORE_DAMPING * min(lengths)
     primal, dual = (1.0 if length == 1 else damping * length for length in lengths)
@@ -328,7 +334,10 @@ def follow(p, enough=0.0) -> Path:
 
 
 def outcome_at(p, enough, stagnant) -> Outcome | None:
-    """Return why the path ends at p, `stagnant` steps after the best point; else None."""
+    """Return the reason why the path ends at p, or None if the path goes on.
+
+    The best point of the path was found `stagnant` steps before p.
+    """
     program = p.program
     if not p.within_limits:
         largest = program.cost.sum() * program.limits[0]

@@ -102,8 +102,8 @@ class Block:
 class NewtonSystem:
     """The factorised Newton system at a point.
 
-    `barrier` is eta / (limit - t), the entry of each t in the matrix from its limit. If the
-    feasible set is smaller than rounding, a LinAlgError is raised.
+    `barrier` is eta / (limit - t), which the limit of each t adds to the entry of this t in the
+    matrix. If the feasible set is smaller than rounding, a LinAlgError is raised.
     """
 
     def __init__(self, program, X, Y, barrier):

@@ -58,7 +58,10 @@ class Program:
         return [numbers[bound.level] for bound in self.bounds]
 
     def at_own_t(self, t):
-        """Return the value of t that belongs to each column of each bound; zero for a limit."""
+        """Return the value of t that belongs to each column of each bound.
+
+        If a column has a limit instead of a t, the value is zero.
+        """
         return self.at_columns(t, 0 * self.limits)
 
     def largest(self, values):
@@ -73,7 +76,10 @@ class Program:
         return self.largest([np.abs(bound.F[0, 0]) for bound in self.bounds])
 
     def minimax(self):
-        """Make a program that minimises the largest value with a t or with the first limit."""
+        """Make a program that minimises the largest bounded value.
+
+        Only values with a t or with the first limit count. All other values keep their limits.
+        """
         t, (first, *_) = self.without_learning()
         bounds = []
         for bound in self.bounds:  # the one t has number 0, the limits follow
@@ -105,7 +111,10 @@ class Program:
 
     @cached_property
     def incidence(self):
-        """Matrices (c, n) with a one at the frequency of each column; they sum g by frequency."""
+        """Matrices (c, n) with a one at the frequency of each column.
+
+        A product with such a matrix sums g by frequency.
+        """
         n = self.basis.shape[1]
         columns = [(bound.at, np.arange(len(bound.at) + 1)) for bound in self.bounds]
         return [csr_array((np.ones(len(at)), at, rows), (len(at), n)) for at, rows in columns]
