@@ -213,7 +213,7 @@ def minimal_realisation(plant: Model, controls: Sequence[str]) -> control.StateS
     ------
     ValueError
         If the controls reach no state that the outputs show. If rounding decides which states the
-        controls reach: then the frequency responses of the model and of the plant differ.
+        controls reach. In this case, the frequency responses of the model and of the plant differ.
 
     See Also
     --------

@@ -127,9 +127,9 @@ class TrialLeastSquares:
     def solved(self, signal, to_x, to_d) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Compute x and d, piece by piece, for f = to_x' signal and g = to_d' signal.
 
-        The signal has the shape (trials, samples, any). For each piece, the slice of its samples is
-        returned, with x, (trials, samples of the slice, n), and d, (trials, samples of the slice,
-        m).
+        The signal has the shape (trials, samples, any). For each piece, three values are
+        returned: the slice of its samples, x with the shape (trials, samples of the slice, n), and
+        d with the shape (trials, samples of the slice, m).
         """
         u = self._forced(signal, to_x, to_d)
         x = np.zeros((len(signal), len(self.A)))

@@ -88,8 +88,9 @@ def measured_response(
     *Radius.* The confidence, such as 99 %, is a probability under a prior. By this prior, the
     coefficients of the model decay and are smooth. The radius was scaled on simulated records of
     many kinds, see docs/estimator.md. A plant that the prior holds to be unlikely may lie outside
-    the radius more often. One example is a plant with a weak mode below the noise. Another example
-    is a record of trials that have converged. Therefore record the first trials.
+    the radius more often. One example is a plant with a weak mode below the noise. P may also lie
+    outside the radius more often if all trials of the record have converged. Therefore record the
+    first trials.
 
     *Known disturbances.* A log may contain measured inputs that no loop commands, such as the
     ambient temperature (`disturbances` of :func:`read_table`). Each one is a further input of the

@@ -26,7 +26,7 @@ FREQUENCIES_PER_SAMPLE = 10  # between two samples
 
 
 def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
-    """Return the problem at all frequencies that need bounds, and a mask of the user's omega.
+    """Return the problem at all frequencies that need bounds, and which of them are the user's.
 
     If the bounds hold `everywhere`, M and L are also bounded between the frequencies omega.
     Otherwise only L is bounded between these frequencies, if omega is too coarse for L. Bounds are

@@ -327,7 +327,7 @@ class Problem:
         return self.scaled_filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def K(self, solution: "Solution") -> np.ndarray:
-        """Return the response of a solution's coefficients at omega, turned.
+        """Return the turned frequency response of a solution's filter at omega.
 
         This is K / z^(first_sample - 1) if L = B K, and L otherwise.
         """

@@ -46,7 +46,7 @@ class RigSignals:
 
 @dataclass(frozen=True)
 class RigDescription:
-    """The fixed description of a rig under its loop and its law, made by :func:`described`."""
+    """A rig with its loop, its law and its limits, as one object that :func:`described` makes."""
 
     driver: Rig
     loop: Loop  # the controller is ours if it is a CurrentTrialLoop, else the rig's

@@ -6,7 +6,7 @@ frequencies, which are called columns here,
 
     S = [[Lambda, G], [G^H, b I]] >= 0,    G = F + T L(x),    Lambda and b linear in t and d,    (1)
 
-see `bounds`. The unknowns are x, the coefficients of L, and the numbers t and d. The inequalities
+see `bounds`. The unknowns are the coefficients x of L and the numbers t and d. The inequalities
 have multipliers Y >= 0, and t <= limit has multipliers eta >= 0. <S, Y> is tr(S Y). At the optimum,
 the Lagrangian cost . t - sum <S, Y> - (limit - t) . eta is stationary:
 
