@@ -62,7 +62,7 @@ def test_every_picture_has_a_caption_that_stands_for_it(name):
     captions = {picture.metadata["image/png"]["alt"] for picture in pictures}
     assert len(captions) == len(pictures) > 0
     for caption in captions:
-        assert 40 <= len(caption) <= 500 and caption.endswith("."), caption
+        assert 40 <= len(caption) <= 400 and caption.endswith("."), caption
         assert not re.search(r"[$*_`]", caption.replace("σ_max", "")), caption
 
 
