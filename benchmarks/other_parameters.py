@@ -56,7 +56,8 @@ def ranges(name):
     """The parameters of a notebook that have a range: name, and (default, least, most)."""
     imports, chosen, *sources = code_of(name)
     names, found = {}, {}
-    exec(f"{imports}\n{chosen}", names)
+    with matplotlib.rc_context():  # the imports choose the style of the figures
+        exec(f"{imports}\n{chosen}", names)
     for call in ast.walk(ast.parse("\n".join(sources))):
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "checked":
             for keyword in call.keywords:

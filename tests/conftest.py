@@ -2,8 +2,18 @@
 
 import os
 
+import matplotlib
 import pytest
 from repeatable import Q, omega  # noqa: F401
+
+
+@pytest.fixture(scope="module", autouse=True)
+def style_restored():
+    """A file of tests that leaves the notebooks' style behind would spoil the pictures of others."""
+    before = dict(matplotlib.rcParams)
+    yield
+    after = dict(matplotlib.rcParams)
+    assert {name for name in after if after[name] != before[name]} <= {"backend"}
 
 
 @pytest.fixture
