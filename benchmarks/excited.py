@@ -4,21 +4,16 @@ import sys
 import warnings
 
 import numpy as np
-from scipy.signal import freqz, lfilter
+from records import SHAKEN, gain_of, resonant, shaken
+from scipy.signal import freqz
 
-from ilctools import ClosedLoop, measured_response, multisine
+from ilctools import measured_response, multisine
 from ilctools.errors import LogError
 from ilctools.measurement.estimation import estimated_response
-from ilctools.measurement.excitation import with_excitation
-from ilctools.signals import dataset
 
-LOOP = ClosedLoop(Ts=1.0, outputs=["y"])
 PLAN = {"lowest": 0.01, "highest": 2.5, "amplitude": 1.0, "hours": 1.2}
-NOISE = 0.003
 PHASES = 30  # realisations, over which the gain of the best linear approximation is a mean
-POLE = np.exp(0.3 * (-0.005 + 1j * np.sqrt(1 - 0.005**2)))
-RING = np.poly([POLE, POLE.conj()]).real
-LAG, RESONANCE = ([0, 0.1], [1, -0.9]), ([0, RING.sum() / 2, RING.sum() / 2], RING)
+LAG, RESONANCE = ([0, 0.1], [1, -0.9]), resonant(0.3, 0.005)
 DELAY = [0] * 60 + [0, 0.1], [1, -0.9]
 
 
@@ -40,42 +35,42 @@ KINDS = {  # plant, lines, what is before it
 
 
 def record(kind, seed):
-    """A log, its plan, and the gain of what is before the plant."""
-    (b, a), lines, bent = KINDS[kind]
-    rng, plan = np.random.default_rng(seed), multisine(LOOP, **PLAN, lines=lines, seed=seed)
-    w = plan.signals
-    y = lfilter(b, a, bent(w), axis=1) + NOISE * rng.standard_normal(w.shape)
+    """A log of an excited rig."""
+    plant, lines, bent = KINDS[kind]
+    rng, plan = np.random.default_rng(seed), multisine(SHAKEN, **PLAN, lines=lines, seed=seed)
+    log = shaken(plant, plan, rng, bent)
     if "outliers" in kind:
-        y += (rng.random(w.shape) < 0.005) * rng.choice([-1.0, 1.0], w.shape)
-    log = dataset(1.0, ["y"], [], [], {"y": ""}, y=y, reference=0 * w, v=w)
-    return with_excitation(log, plan, LOOP, {}), plan
+        log.y.values += (rng.random(log.y.shape) < 0.005) * rng.choice([-1.0, 1.0], log.y.shape)
+    return log
 
 
 def gain(kind):
     """That of the best linear approximation of what is before the plant, over many phases."""
     _, lines, bent = KINDS[kind]
-    plans = [multisine(LOOP, **PLAN, lines=lines, seed=1000 + k) for k in range(PHASES)]
-    w = np.concatenate([plan.signals[:, : plan.period].ravel() for plan in plans])
-    return np.sum(bent(w) * w) / np.sum(w * w)
+    plans = [multisine(SHAKEN, **PLAN, lines=lines, seed=1000 + k) for k in range(PHASES)]
+    return gain_of(bent, plans)
+
+
+def compared(P, omega, truth):
+    """The median radius, relative to the truth, and whether the truth is outside."""
+    response, radius = P.on(omega, 0.99)
+    outside = np.any(np.abs(response[:, 0, 0] - truth) > radius)
+    return np.median(radius / np.abs(truth)), outside
 
 
 def judged(kind, seed, factor):
-    """Median radius, and whether the truth is outside at lines and between, by three methods."""
-    (log, plan), (b, a) = record(kind, seed), KINDS[kind][0]
+    """What `compared` finds at lines and between them, by three methods, (method, grid, 2)."""
+    log, plant = record(kind, seed), KINDS[kind][0]
     both = measured_response(log)
     try:
         alone = estimated_response([log], "w")
     except LogError:
         alone = both
-    lines, between = plan.omega, np.sqrt(plan.omega[1:] * plan.omega[:-1])
-    row = []
-    for P in (both.lines, alone, both):
-        for omega in (lines, between):
-            response, radius = P.on(omega, 0.99)
-            truth = factor * freqz(b, a, omega)[1]
-            off = np.abs(response[:, 0, 0] - truth)
-            row += [np.median(radius / np.abs(truth)), np.any(off > radius)]
-    return [row[k] for k in (0, 1, 3, 4, 5, 7, 8, 9, 11)]
+    lines = both.lines.omega
+    grids = lines, np.sqrt(lines[1:] * lines[:-1])
+    truths = [factor * freqz(*plant, omega)[1] for omega in grids]
+    methods = both.lines, alone, both
+    return [[compared(P, *each) for each in zip(grids, truths, strict=True)] for P in methods]
 
 
 def main(count: int = 20) -> None:
@@ -83,9 +78,11 @@ def main(count: int = 20) -> None:
     for kind in KINDS:
         factor = gain(kind)
         rows = np.array([judged(kind, seed, factor) for seed in range(count)], float)
+        radii = np.median(rows[:, :, 0, 0], axis=0)  # at the lines
+        outside = rows[..., 1].sum(axis=0)
         cells = [
-            f"{np.median(rows[:, k]):.4f}, {rows[:, k + 1].sum():.0f} / {rows[:, k + 2].sum():.0f}"
-            for k in (0, 3, 6)
+            f"{radius:.4f}, {at_lines:.0f} / {between:.0f}"
+            for radius, (at_lines, between) in zip(radii, outside, strict=True)
         ]
         print(f"| {kind} | {' | '.join(cells)} |", flush=True)
 

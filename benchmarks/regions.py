@@ -12,7 +12,7 @@ from functools import partial, reduce
 import numpy as np
 import pandas as pd
 from numpy.polynomial.polynomial import polyadd
-from records import backlash, dead, held, in_a_loop, steps
+from records import backlash, dead, held, in_a_loop, pair, resonant, steps
 from runner import publish, run, table
 from scipy.signal import cont2discrete, freqz, lfilter
 
@@ -27,7 +27,6 @@ from ilctools.errors import LogError
 from ilctools.signals import dataset
 
 RECORDS = 200  # of a kind
-AXES = "trial", "time"
 NOISE = 0.03  # relative to the gain of a plant, where a kind does not say otherwise
 
 
@@ -40,16 +39,9 @@ def lag(rng):
     return b * a.sum() / b.sum(), a
 
 
-def pair(natural, damping):
-    """The denominator of a resonance."""
-    pole = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
-    return np.poly([pole, pole.conj()]).real
-
-
 def resonance(rng):
     """A resonance with a damping of 0.05 to 0.3 behind a delay of a sample."""
-    a = pair(rng.uniform(0.15, 0.8), rng.uniform(0.05, 0.3))
-    return np.array([0, a.sum() / 2, a.sum() / 2]), a
+    return resonant(rng.uniform(0.15, 0.8), rng.uniform(0.05, 0.3))
 
 
 def first_order(T, gain=1.0, delay=1):
@@ -85,10 +77,6 @@ def undershooting(rng):
     """A lag of 4 to 8 samples, less one of 150 to 400 with a fifth to a half of the gain."""
     fast, slowly = first_order(rng.uniform(4, 8)), rng.uniform(150, 400)
     return beside(fast, first_order(slowly, -rng.uniform(0.2, 0.5)))
-
-
-def held_noise(rng, N, samples=3):
-    return held(rng, samples, N)
 
 
 def arch(N):
@@ -180,10 +168,10 @@ def disturbed(rng, N=150):
     heater = np.repeat(rng.integers(0, 2, N), rng.integers(10, 30))[:N]
     air = np.cumsum(0.1 * rng.standard_normal(N))
     moved = [sum(lfilter(*lag(rng), d) for d in (heater, air)) for _ in plants]
-    known = np.stack([heater, air], axis=1)[None]
-    log = log.assign(y=log.y + np.stack(moved, axis=1), disturbance=((*AXES, "source"), known))
-    names = {"source": ("source", ["heater", "air"]), "source_unit": ("source", ["", ""])}
-    return log.assign_coords(names), plants
+    y, known = log.y + np.stack(moved, axis=1), np.stack([heater, air], axis=1)[None]
+    signals = {"u": log.u.values, "y": y.values, "disturbance": known}
+    channels = log.output.values, log.control.values, ["heater", "air"]
+    return dataset(1.0, *channels, {}, **signals), plants
 
 
 def modes(rng, damped=0.03):
@@ -206,7 +194,7 @@ def flexible(rng, N=1500, damped=0.03, noise=NOISE):
 
 def feedback(rng, N=600, moves=1.0, logged=True):
     """The plant in a loop of a PI controller, with coloured noise; of the commands."""
-    plant, r, noise = lag(rng), moves * held_noise(rng, N), coloured(rng, N, 0.05)
+    plant, r, noise = lag(rng), moves * held(rng, N), coloured(rng, N, 0.05)
     u, y = in_a_loop(plant, ([0.32, -0.3], [1.0, -1.0]), r, noise)
     log = single(u, y)
     if logged:
@@ -240,7 +228,7 @@ def integrator(rng):
 
 def spring(rng, N=2000, stiffening=0.1):
     """A resonance whose spring stiffens with the square of its travel; the truth is for none."""
-    u, omega, damping, step = held_noise(rng, N), 0.3, 0.02, 0.25
+    u, omega, damping, step = held(rng, N), 0.3, 0.02, 0.25
     y, v, x = [], 0.0, 0.0
     for force in u:
         y.append(x)
@@ -252,8 +240,8 @@ def spring(rng, N=2000, stiffening=0.1):
     return single(u, np.array(y) + white(rng, N)), [[(b[0], a)]]
 
 
-noisy = partial(open_loop, excite=held_noise)
-swept = partial(open_loop, excite=partial(held_noise, samples=10), N=400)
+noisy = partial(open_loop, excite=held)
+swept = partial(open_loop, excite=partial(held, samples=10), N=400)
 CURVED = {
     "three trials saturate": saturating,
     "quadratic": partial(noisy, N=400, bent=lambda u: u + 0.2 * u**2),
@@ -284,13 +272,13 @@ KINDS = {
     "four modes": flexible,
     "feedback, coloured noise": feedback,
     "slow, 10,000 samples": partial(
-        open_loop, make=slow, excite=partial(held_noise, samples=300), N=10_000
+        open_loop, make=slow, excite=partial(held, samples=300), N=10_000
     ),
     "fast and slow": partial(
-        open_loop, make=fast_and_slow, excite=partial(held_noise, samples=60), N=800
+        open_loop, make=fast_and_slow, excite=partial(held, samples=60), N=800
     ),
     "fast, less a slow part": partial(
-        open_loop, make=undershooting, excite=partial(held_noise, samples=20), N=800
+        open_loop, make=undershooting, excite=partial(held, samples=20), N=800
     ),
     "a long delay, noise": partial(noisy, make=late, N=2000),
     "a long delay, steps": partial(open_loop, make=late, N=2000),

@@ -6,13 +6,16 @@ import xarray as xr
 from numpy.polynomial.polynomial import polyadd
 from scipy.signal import detrend, lfilter
 
+from ilctools import ClosedLoop
 from ilctools.measurement.arx.regressors import Regressors
 from ilctools.measurement.arx.trials import Trials, series_of
+from ilctools.measurement.excitation import with_excitation
 from ilctools.models import frequency_response
+from ilctools.signals import dataset
 from ilctools.singular_values import largest_singular_values
 
 
-def held(rng, samples, *shape):
+def held(rng, *shape, samples=3):
     """Noise that is held for some samples, (..., time)."""
     *others, N = shape
     return np.repeat(rng.standard_normal((*others, N // samples + 1)), samples, axis=-1)[..., :N]
@@ -40,6 +43,18 @@ def in_a_loop(plant, controller, r, noise):
     return u, lfilter(b, a, u) + noise
 
 
+def pair(natural, damping):
+    """The denominator of a resonance."""
+    pole = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
+    return np.poly([pole, pole.conj()]).real
+
+
+def resonant(natural, damping):
+    """A resonance of gain one behind a delay of a sample: numerator and denominator."""
+    a = pair(natural, damping)
+    return np.array([0, a.sum() / 2, a.sum() / 2]), a
+
+
 def dead(u, zone):
     """Nothing as long as |u| is less than half the zone, from there on as much less."""
     return u - np.clip(u, -zone / 2, zone / 2)
@@ -57,6 +72,23 @@ def log_of(u, y, Ts=1.0, d=()):
     return xr.Dataset(variables, coordinates, {"Ts": Ts})
 
 
+SHAKEN = ClosedLoop(Ts=1.0, outputs=["y"])
+
+
+def shaken(plant, plan, rng, bent=np.array, noise=0.003):
+    """A log of an excited plant behind a curve, experiment after experiment from rest."""
+    w = plan.signals
+    y = lfilter(*plant, bent(w), axis=1) + noise * rng.standard_normal(w.shape)
+    log = dataset(1.0, ["y"], [], [], {"y": ""}, y=y, reference=0 * w, v=w)
+    return with_excitation(log, plan, SHAKEN, {})
+
+
+def gain_of(bent, plans):
+    """The gain of the best linear approximation of a curve, over the phases of many plans."""
+    w = np.concatenate([plan.signals[:, : plan.period].ravel() for plan in plans])
+    return np.sum(bent(w) * w) / np.sum(w * w)
+
+
 def answer(plant, u):
     """Outputs of a model to inputs from rest, (channel, time)."""
     return control.forced_response(plant, inputs=u, squeeze=False).outputs
@@ -65,7 +97,7 @@ def answer(plant, u):
 def moved(plant, N, seed=0, noise=0.02, samples=3):
     """A log of a model under noise that is held, from rest."""
     rng = np.random.default_rng(seed)
-    u = held(rng, samples, plant.ninputs, N)
+    u = held(rng, plant.ninputs, N, samples=samples)
     y = answer(plant, u)
     y = y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
     return log_of(u, y, plant.dt)

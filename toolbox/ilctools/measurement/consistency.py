@@ -107,10 +107,6 @@ class Score(NamedTuple):
         z, J = (self.q / unit)[columns], (self.J / unit / unit[:, None])[among]
         return z @ np.linalg.pinv(J, EXPLAINED, True) @ z
 
-    def power_of(self, columns: list[int]) -> float:
-        """Compute the weighted sum of squares of the sum of some columns."""
-        return self.power[np.ix_(columns, columns)].sum()
-
 
 def contradictions(
     fit: Regression, groups: Sequence[Trials], reference: bool = True
@@ -129,10 +125,10 @@ def contradictions(
         for words, k, of_part in asked:
             columns, first = [*range(first, first + k)], first + k
             more = max(found.explained(gains + columns) - of_gains, 0)
-            by = np.sqrt(more / found.power_of(columns[:1] if of_part else gains[: fit.commanded]))
             F = n * more / k / fit.posterior.r  # (2)
             if fdtrc(k, n, F) < level:
-                yield Contradiction(words, by)
+                of_P = columns[:1] if of_part else gains[: fit.commanded]
+                yield Contradiction(words, np.sqrt(more / found.power[np.ix_(of_P, of_P)].sum()))
     if not reference and _at_once(fit, level):
         yield Contradiction(FOLLOWS, 1.0)
 
@@ -241,11 +237,12 @@ def _last_move(u):
 
     The initial sign is opposite to the sign of the first change.
     """
-    signs = np.moveaxis(np.sign(np.diff(u, axis=1, prepend=0)), 1, 0)
-    signs[0] = -np.take_along_axis(signs, np.argmax(signs != 0, axis=0)[None], 0)
-    samples = np.arange(len(signs)).reshape(-1, 1, 1)
-    last = np.maximum.accumulate(np.where(signs, samples, 0))  # when the last move was
-    return np.moveaxis(np.take_along_axis(signs, last, 0) - signs[0], 0, 1)
+    signs = np.sign(np.diff(u, axis=1, prepend=0))
+    first = np.argmax(signs != 0, axis=1, keepdims=True)  # when the first move was
+    signs[:, :1] = -np.take_along_axis(signs, first, 1)
+    samples = np.arange(u.shape[1])[:, None]
+    last = np.maximum.accumulate(np.where(signs, samples, 0), axis=1)  # when the last move was
+    return np.take_along_axis(signs, last, 1) - signs[:, :1]
 
 
 def _at_once(fit, level):

@@ -21,10 +21,10 @@ and in each experiment, an error of the variance
     v = R delta^2 ||W||^2 / m^2 |A|^2,                                                          (3)
 
 which is multiplied by the ratio of the quantiles of F and chi^2 at 1 - TAIL, because delta^2 is
-itself an estimate. Let F be the transform of the regressors, summed over the N periods of p samples
-and divided by sqrt(N). The unknowns x of the regression then have the additional covariance
+itself an estimate. Let F be the transform of the regressors, summed over all periods of p samples.
+The unknowns x of the regression then have the additional covariance
 
-    M V M,    V = sum over experiments and lines of 2 N v / p^2 Re(F F^H),                      (4)
+    M V M,    V = sum over experiments and lines of 2 v / p^2 Re(F F^H),                        (4)
 
 with M = (X' X + D^-1)^-1, the regressors X and the prior variances D of x. Source: R. Pintelon and
 J. Schoukens, System Identification, 2012, section 4.3.1.
@@ -93,25 +93,14 @@ def lines_of(estimate: EstimatedResponse, excitation: Excitation) -> ExcitedResp
     """Compute the responses G_rp of (1) for all outputs, in the units of the estimate."""
     [group] = estimate.record.groups
     angles = excitation.omega * estimate.loop.Ts
-    W = spectra(group.u[..., : group.commanded], excitation)
+    W = excitation.spectra(group.u[..., : group.commanded])
     rows = []
     for i, fit in enumerate(estimate.fits):
-        E = spectra(fit.residual(group.u, group.y[..., i])[..., None], excitation)
+        E = excitation.spectra(fit.residual(group.u, group.y[..., i])[..., None])
         D = E @ np.linalg.inv(W) / fit.denominator_at(angles)[:, None, None]
         rows.append(fit.response(angles)[:, None] + D)
     periods = np.concatenate(rows, axis=-2)
     return ExcitedResponse(excitation.omega, periods * estimate.units, estimate.loop)
-
-
-def spectra(signal, excitation) -> np.ndarray:
-    """Compute the spectra of a signal at the lines.
-
-    The result has the shape (realisation, period, n, channel, experiment).
-    """
-    m, period, channels = excitation.rows, excitation.period, signal.shape[-1]
-    parts = signal.reshape(len(signal) // m, m, -1, period, channels)
-    lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
-    return np.moveaxis(lines, 1, -1)
 
 
 def with_distortion(estimate: EstimatedResponse, excitation: Excitation) -> EstimatedResponse:
@@ -138,10 +127,8 @@ def distortion(lines: ExcitedResponse) -> np.ndarray:
     """
     R, N = lines.periods.shape[:2]
     square, d, f = lines._error
-    noise = lines.noise**2
-    off = lines.realisations - lines.response
-    error = np.sum(np.abs(off) ** 2, axis=(0, 2, 3)) / (R * (R - 1))
-    n = len(noise)
+    noise, n = lines.noise**2, len(lines.omega)
+    error = lines._variance(lines.realisations - lines.response, R * (R - 1))
     gate = fdtri(2 * d * n * (R - 1), 2 * d * n * R * (N - 1), GATE)
     if np.mean(error / noise) <= gate:
         return np.zeros(n)
@@ -151,18 +138,16 @@ def distortion(lines: ExcitedResponse) -> np.ndarray:
 
 def added_covariance(fit: Regression, group: Trials, excitation, delta2) -> np.ndarray:
     """Compute the covariance M V M of (4) for the unknowns of one output."""
-    m, period, R = excitation.rows, excitation.period, len(group.y) // excitation.rows
-    angles = 2 * np.pi * np.array(excitation.harmonics) / period
-    W = spectra(group.u[..., : group.commanded], excitation)[:, 0]  # alike in all periods
-    power = np.mean(np.sum(np.abs(W) ** 2, axis=(-2, -1)), axis=0) / m**2
-    v = R * delta2 * power * np.abs(fit.denominator_at(angles)) ** 2  # (3)
+    period = excitation.period
+    W = excitation.spectra(group.u[..., : group.commanded])[:, 0]  # alike in all periods
+    power = np.sum(np.abs(W) ** 2, axis=(0, 2, 3)) / excitation.rows**2  # of all R realisations
+    A = fit.denominator_at(excitation.omega * excitation.Ts)
+    v = delta2 * power * np.abs(A) ** 2  # (3)
     V, M = 0.0, fit.posterior.spread
     for series in series_of([group]):
         X = Regressors(series, fit.data.layout).rows()
-        parts = X.reshape(len(X), -1, period)
-        N = parts.shape[1]
-        F = np.fft.rfft(parts.sum(axis=1), axis=1)[:, excitation.harmonics] / np.sqrt(N)
-        F = F * np.sqrt(2 * N * v) / period
+        one_period = X.reshape(len(X), -1, period).sum(axis=1)
+        F = np.fft.rfft(one_period, axis=1)[:, excitation.harmonics]
         weight = fit.posterior.weight if series.is_mean else 1.0
-        V = V + weight**2 * (F @ F.conj().T).real
+        V = V + 2 * weight**2 / period**2 * (F * v @ F.conj().T).real  # (4)
     return M @ V @ M

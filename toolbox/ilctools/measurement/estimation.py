@@ -69,7 +69,19 @@ UNSTABLE = 0.77
 # constant of a sixth of the record grows by 1.6. P at rest must be SURE_OF_REST times its radius
 # for a lag to be certain. Both numbers were found by counting.
 RISE, SURE_OF_REST = 1.95, 3.0
+SMALLER = (
+    "the signals are as large as in the excitation, because the gain may differ for smaller "
+    "ones: shake the loop with a second amplitude, and compare by P.check(log)"
+)
 LOOP = "learning presupposes a stable plant: record for longer, or in a closed loop"
+
+
+class Moments(NamedTuple):
+    """What determines the distribution of the errors at n frequencies."""
+
+    trace: np.ndarray  # tr S, (n,)
+    root: np.ndarray  # the root of tr S^2, or a bound on it, (n,)
+    shares: np.ndarray  # variances of the real and the imaginary part of dA / A, (output, 2, n)
 
 
 class Agreement(NamedTuple):
@@ -121,7 +133,8 @@ class EstimatedResponse(Measured):
     @cached_property
     def response(self) -> np.ndarray:
         """The estimate at `omega`, shape (n, outputs, inputs), complex."""
-        return self._at(self.omega)
+        rows = [fit.response(self.omega * self.loop.Ts) for fit in self.fits]
+        return self.units * np.stack(rows, axis=1)
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -158,10 +171,10 @@ class EstimatedResponse(Measured):
 
         If an output certainly does not settle, a LogError is raised.
         """
-        shares = UNSTABLE * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
-        rising, lowest = self._rises(), self._lowest
-        for i, (name, fit) in enumerate(zip(self.loop.outputs, self.fits, strict=True)):
-            if not fit.stable and (shares[i] < 1 or not self.known.any()):
+        shares = UNSTABLE * np.sqrt(self._moments.shares[:, 0].max(axis=1))
+        outputs, lowest = self.loop.outputs, self._lowest
+        for name, fit, share, rises in zip(outputs, self.fits, shares, self._rises(), strict=True):
+            if not fit.stable and (share < 1 or not self.known.any()):
                 grows = fit.grows_at / self.loop.Ts
                 where = f"at about {grows:.2g} rad/s"
                 if grows < lowest:
@@ -170,9 +183,9 @@ class EstimatedResponse(Measured):
                         "that the record resolves"
                     )
                 raise LogError(f"{name} does not settle, but grows {where}: {LOOP}")
-            if not fit.stable or shares[i] >= 1:
+            if not fit.stable or share >= 1:
                 yield f"{name} may not settle, or a periodic disturbance acts on it: {LOOP}"
-            elif rising[i] and not self.apart:
+            elif rises and not self.apart:
                 yield (
                     f"{name} may not settle, because P rises like an integrator down to "
                     f"{lowest:.2g} rad/s, the lowest frequency that the record resolves: "
@@ -181,42 +194,30 @@ class EstimatedResponse(Measured):
 
     def _rises(self):
         """Whether P to each output rises like an integrator, and is uncertain at low frequency."""
-        one, two = np.linalg.norm(self._at(self._lowest * np.array([1.0, 2.0])), axis=2)
+        lowest = replace(self, omega=self._lowest * np.array([1.0, 2.0]))
+        one, two = np.linalg.norm(lowest.response, axis=2)
         at_rest = largest_singular_values(self.response[:1]) < SURE_OF_REST * self.radius()[0]
         return at_rest & (one > RISE * two)
 
-    def _at(self, omega):
-        rows = [fit.response(omega * self.loop.Ts) for fit in self.fits]
-        return self.units * np.stack(rows, axis=1)
-
-    def _moments(self, omega):
-        """Compute tr S, the root of tr S^2, and the variances of dA / A.
-
-        The first two results have the shape (n,). The variances have the shape (output, 2, n).
-        """
+    @cached_property
+    def _moments(self):
+        """The moments of the errors of all outputs."""
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
-            S, share = fit.covariance(omega * self.loop.Ts)
+            S, share = fit.covariance(self.omega * self.loop.Ts)
             S = S * np.outer(np.tile(units, 2), np.tile(units, 2))
             trace = trace + np.trace(S, axis1=1, axis2=2)
             root = root + np.linalg.norm(S, axis=(1, 2))
             shares.append(share)
-        return trace, root, np.array(shares)
-
-    @cached_property
-    def _own_moments(self):
-        return self._moments(self.omega)
+        return Moments(trace, root, np.array(shares))
 
     def _radius(self, confidence, jointly):
-        return self._radius_of(self._own_moments, self.response, confidence, jointly)
-
-    def _radius_of(self, moments, P, confidence, jointly):
         c, p = (JOINT, (1 - confidence) / INDEPENDENT) if jointly else (FACTOR, 1 - confidence)
-        return c * quantile(*moments, p) + self.apart * largest_singular_values(P)
+        return c * quantile(self._moments, p) + self.apart * largest_singular_values(self.response)
 
     def _anywhere(self, omega, confidence):
-        P = self._at(omega)
-        return P, self._radius_of(self._moments(omega), P, confidence, True)
+        there = replace(self, omega=omega)
+        return there.response, there.radius(confidence, jointly=True)
 
     def _scaled(self, of_P):
         return replace(self, units=self.units * of_P)
@@ -297,25 +298,20 @@ class EstimatedResponse(Measured):
                 "little power, and the radius follows from the assumptions"
             )
         if self.lines is not None and omega[0] < (lowest := self.lines.omega[0]):
-            text = (
+            below = (
                 f"below {lowest:.4g} rad/s, the lowest excited frequency, P is extrapolated by "
                 "the regression: an excitation with a lower `lowest` would measure P there"
             )
-            lines.append(Assumed(text))
+            lines.append(Assumed(below))
         if not self.linear:
-            text = (
-                "the signals are as large as in the excitation, because the gain may differ "
-                "for smaller ones: shake the loop with a second amplitude, and compare by "
-                "P.check(log)"
-            )
-            lines.append(Assumed(text))
+            lines.append(Assumed(SMALLER))
         first = self.omega[self.resolved][0]
         if self.omega[self.known][0] < first <= omega[0] * (1 + SAME_FREQUENCY):
-            text = (
+            below = (
                 f"below {first:.3g} rad/s, where no period fits into a record, the cut-off and "
                 "the filter need no knowledge of P"
             )
-            lines.append(Assumed(text))
+            lines.append(Assumed(below))
         return lines
 
     def __repr__(self):
@@ -366,29 +362,24 @@ def estimated_response(
     return replace(estimate, findings=findings)
 
 
-def quantile(trace, root, shares, p: float) -> np.ndarray:
-    """Compute by (2) the value that ||dP|| / |1 + a| exceeds with the probability p.
-
-    The result has the shape (n,). `trace` is tr S and `root` is the root of tr S^2, both (n,).
-    `shares`, (output, 2, n), has the variances of the real and the imaginary part of dA / A for
-    each output.
-    """
-    shape = trace**2 / (2 * root**2)
+def quantile(moments: Moments, p: float) -> np.ndarray:
+    """Compute by (2) the value that ||dP|| / |1 + a| exceeds with the probability p, shape (n,)."""
+    shape = moments.trace**2 / (2 * moments.root**2)
     x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
-    sigma2 = np.maximum(shares.sum(axis=1).max(axis=0), 1e-8)  # below which t is x
+    sigma2 = np.maximum(moments.shares.sum(axis=1).max(axis=0), 1e-8)  # below which t is x
     w = wrightomega(1 / sigma2 - x - np.log(sigma2))  # 1 / (1 + t sigma2) = w sigma2, (2)
     t = (1 - w * sigma2) / (w * sigma2**2)
-    return np.sqrt(t * trace / shape)
+    return np.sqrt(t * moments.trace / shape)
 
 
 def _at_rest(record, units):
     """Return P(0) of each output if it is known, because the loop's observer integrates.
 
-    P(0) is in the given units. For each output, the result is None if P(0) is not known.
+    P(0) is in the given units. For each output, the result is empty if P(0) is not known.
     """
     if record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
         return np.eye(len(units)) / units
-    return [None] * len(units)
+    return [()] * len(units)
 
 
 def _in_words(name, said):

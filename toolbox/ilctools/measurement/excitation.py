@@ -75,6 +75,18 @@ class Excitation:
         waves *= np.array(self.amplitude) / np.abs(waves).max(axis=(1, 2, 3), keepdims=True)
         return np.tile(waves.reshape(-1, self.period, self.rows), (1, self.periods + 1, 1))
 
+    def spectra(self, signal: np.ndarray) -> np.ndarray:
+        """Compute the spectra at the lines of a signal, shape (experiment, time, channel).
+
+        The signal has whole periods. The result has the shape (realisation, period, n, channel,
+        experiment).
+        """
+        _, samples, channels = signal.shape
+        periods = samples // self.period
+        parts = signal.reshape(-1, self.rows, periods, self.period, channels)
+        lines = np.fft.rfft(parts, axis=3)[:, :, :, self.harmonics]
+        return np.moveaxis(lines, 1, -1)
+
     def __repr__(self):
         return (
             f"{len(self.phases)} realisations of {self.rows} experiments, each with 1 + "

@@ -238,7 +238,7 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
 
     The signals have the shape (experiment, time, channel).
     """
-    W, Y = (_spectra(signal, excitation) for signal in (w, y))
+    W, Y = excitation.spectra(w), excitation.spectra(y)
     findings = ()
     if beyond := commands_beyond(asked, loop.commands, limits):
         findings = (
@@ -246,15 +246,3 @@ def excited_response(w, y, asked, limits, excitation: Excitation, loop: Loop) ->
             "does not cover the difference. Shake the loop with a smaller amplitude",
         )
     return ExcitedResponse(excitation.omega, Y @ np.linalg.inv(W), loop, findings)  # (1)
-
-
-def _spectra(signal, excitation):
-    """Compute the spectra of a signal at the lines.
-
-    The result has the shape (realisation, period, n, channel, experiment).
-    """
-    m = excitation.rows
-    channels = signal.shape[-1]
-    parts = signal.reshape(-1, m, excitation.periods, excitation.period, channels)
-    lines = np.fft.rfft(parts, axis=3)[:, :, :, excitation.harmonics]
-    return np.moveaxis(lines, 1, -1)

@@ -136,14 +136,13 @@ def measured_response(
     P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
     assumed: between the lines, the error of the splines of P is not larger than ...
     """
-    asked = {"of": of, "delay": delay}
-    asked = {name: value for name, value in asked.items() if value is not None}
     if isinstance(log, control.FrequencyResponseData):
-        for name, value in asked.items():
-            raise ValueError(
-                f"{name} = {reprlib.repr(value)} is for a record, but log is a "
-                f"table: leave {name} out"
-            )
+        for name, value in {"of": of, "delay": delay}.items():
+            if value is not None:
+                raise ValueError(
+                    f"{name} = {reprlib.repr(value)} is for a record, but log is a "
+                    f"table: leave {name} out"
+                )
         return _warned(tabulated(log, uncertainty))
     logs = log if isinstance(log, list | tuple) and log else [log]
     for one in logs:
@@ -159,9 +158,11 @@ def measured_response(
             "uncertainty must be None if log is a record, because the radius is estimated "
             "from the record"
         )
-    excitation = None if asked or logs is log else excitation_of(log)
+    excitation = None
+    if of is None and delay is None and logs is not log:
+        excitation = excitation_of(log)
     if excitation is None:
-        measured = estimated_response(logs, **asked)
+        measured = estimated_response(logs, of, delay)
     elif (loop := loop_of(log)) is None:
         raise LogError(
             "log names no loop in its metadata, so that it is not a log of shake: "

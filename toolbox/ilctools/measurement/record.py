@@ -272,10 +272,8 @@ def check_moved(signals, names, what, remedy):
     with np.errstate(over="ignore"):
         each = [np.abs(x - x[:, :1]).max(axis=(0, 1)) for x in signals]
     moves = np.max(each, axis=0)
-    still = moves == 0
-    if still.any():
-        words = ", ".join(np.array([*names])[still])
-        raise LogError(f"{what} of {words} never moved: {remedy}")
+    if still := [name for name, most in zip(names, moves, strict=True) if most == 0]:
+        raise LogError(f"{what} of {', '.join(still)} never moved: {remedy}")
     for name, most in zip(names, moves, strict=True):
         if not SMALLEST_MOVES <= most <= LARGEST_MOVES:
             raise LogError(

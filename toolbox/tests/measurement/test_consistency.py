@@ -98,7 +98,7 @@ def test_a_loop_without_its_reference_is_said(moves, controller):
     """What is estimated is -1 / C, at a radius of nothing."""
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        r = moves * held(rng, 3, 600)
+        r = moves * held(rng, 600)
         noise = lfilter([0.05], [1, -0.9], rng.standard_normal(600))
         u, y = in_a_loop(([0, 0.3], [1, -0.7]), controller, r, noise)
         assert FOLLOWS in said([group_of(y[None], u[None])], False)
@@ -127,7 +127,7 @@ def test_memory_grows_as_the_trials_do():
 def disturbed(gains, direct=0.0, N=200):
     """Of one input and one disturbance of ten times its effect; another gain of P in each trial."""
     rng, K = np.random.default_rng(0), len(gains)
-    u, d = held(rng, 2, 2, K, N)
+    u, d = held(rng, 2, K, N, samples=2)
     y = np.array(gains)[:, None] * lfilter([0, 0.1], [1, -0.9], u)
     y = y + lfilter([direct, 1.0], [1, -0.9], d) + 0.003 * rng.standard_normal((K, N))
     return [group_of(y, u, d, known=1)]

@@ -20,7 +20,7 @@ def record_of(seed, m=1, size=1.0):
     It is short: the time of an estimate grows as the cube of its lags and inputs.
     """
     rng, N = np.random.default_rng(seed), 100
-    w = 2 * np.stack([held(rng, n, N) for n in (15, 21)])[:m]
+    w = 2 * np.stack([held(rng, N, samples=n) for n in (15, 21)])[:m]
     heater = 60.0 * np.repeat(rng.integers(0, 2, 20), 18)[:N]
     air = 20 + np.sin(2 * np.pi * (np.arange(N) / 100 + rng.uniform()))
     air = air + 0.02 * np.cumsum(rng.standard_normal(N))
@@ -64,63 +64,50 @@ def test_a_heater_and_the_air_are_no_noise():
 def test_it_is_the_estimate_of_a_plant_with_more_inputs():
     """Without a reference commands and disturbances are treated alike: P is a block of it."""
     rng = np.random.default_rng(0)
-    u = held(rng, 3, 4, 120)
+    u = held(rng, 4, 120)
     y = answer(lags(), u[:2]) + answer(lags(0.5), u[2:]) + 0.01 * rng.standard_normal((2, 120))
     whole, part = measured_response(log_of(u, y)), measured_response(log_of(u[:2], y, d=u[2:]))
     np.testing.assert_allclose(part.response, whole.response[..., :2], rtol=1e-7)
     assert np.all(part.radius() < whole.radius())
-    for i in range(2):  # of all entries to the inputs, the real parts stand first
-        S, of_A = whole.fits[i].covariance(np.array([0.01, 0.3]))
-        own, of_own_A = part.fits[i].covariance(np.array([0.01, 0.3]))
-        kept = np.ix_([0, 1], [0, 1, 4, 5], [0, 1, 4, 5])
-        atol = 1e-6 * np.abs(own).max()  # the units of the inputs are those of all moves in both
-        np.testing.assert_allclose(own, S[kept], rtol=1e-5, atol=atol)
+    for fit, own in zip(whole.fits, part.fits, strict=True):
+        (S, of_A), (own_S, of_own_A) = (one.covariance(np.array([0.01, 0.3])) for one in (fit, own))
+        kept = np.ix_([0, 1], [0, 1, 4, 5], [0, 1, 4, 5])  # the real parts stand first
+        atol = 1e-6 * np.abs(own_S).max()  # the units of the inputs are those of all moves in both
+        np.testing.assert_allclose(own_S, S[kept], rtol=1e-5, atol=atol)
         np.testing.assert_allclose(of_own_A, of_A, rtol=1e-5)
     assert part.model().ninputs == 2 and covers(part, part.model())
 
 
-@pytest.mark.parametrize("value", [0.0, 21.3])
-def test_a_disturbance_that_rests_in_each_trial_adds_nothing(value):
+def test_a_disturbance_that_rests_in_each_trial_adds_nothing():
     """Also but for rounding, and if it rests elsewhere in the next trial."""
     log = record_of(0, size=0.0)  # nothing but w moves y
     bare = log.drop_vars("disturbance")
-    rest = value + 0 * log.disturbance + 4e-15 * np.sin(np.arange(100))[None, :, None] * value
+    rest = 21.3 + 0 * log.disturbance + 1e-13 * np.sin(np.arange(100))[None, :, None]
     rests = log.assign(disturbance=rest)
     estimate, plain = measured_response(rests), measured_response(bare)
     assert same(estimate, plain) and str(estimate) == str(plain)
     twice = [rests, log.assign(disturbance=rest + 3)]
     assert same(measured_response(twice), measured_response([bare, bare]))
-    some = measured_response(replaced(log, value))  # the air moves
+    some = measured_response(replaced(log, 21.3))  # the air moves
     assert "the known disturbances air, other" in str(some)
 
 
-@pytest.mark.parametrize("m", [1, 2])
-def test_a_disturbance_that_is_an_input_is_refused(m):
+def test_a_disturbance_that_is_an_input_is_refused():
     """Nothing shows which of both moved y: so the radius is as large as P."""
-    log = record_of(0, m)
+    log = record_of(0, m=2)
     w = log.reference.values
     heater = np.round(7 - 3 * w[..., 0] - 0.1 * w[..., -1], 5)  # as a log of few digits has it
     with pytest.raises(LogError, match="moved alike, or as heater, air did"):
         measured_response(replaced(log, heater))
 
 
-def test_what_nearly_the_same_input_may_do_as_well_is_in_the_radius():
-    log = record_of(0, size=0.0)
-    w = log.reference.values[..., 0]
-    near = w + 0.2 * np.random.default_rng(0).standard_normal(w.shape)
-    widened = measured_response(replaced(log, near)).radius() / measured_response(log).radius()
-    assert np.median(widened) > 2
-
-
 def test_a_disturbance_may_come_later_than_all_lags_reach():
     """90 samples later, where A and B have 75 lags; the commanded input is 20 samples late."""
     rng, N = np.random.default_rng(0), 300
-    u, d = held(rng, 4, 2, N)
-    delayed, own = (np.append(np.zeros(late), x)[:N] for late, x in ((90, d), (20, u)))
-    y = lfilter([0, 0.1], [1, -0.9], own) + lfilter([0, 0.1], [1, -0.8], delayed)
-    y = y + 0.01 * rng.standard_normal(N)
-    log, bare = log_of(u[None], y[None], d=[d]), log_of(u[None], y[None])
-    plant = lag() * lag(0.0) ** 20
+    u, d = held(rng, 2, N, samples=4)
+    plant, of_d = lag() * lag(0.0) ** 20, lag(0.8, gain=0.5) * lag(0.0) ** 90
+    y = answer(plant, u[None]) + answer(of_d, d[None]) + 0.01 * rng.standard_normal(N)
+    log, bare = log_of(u[None], y, d=[d]), log_of(u[None], y)
     estimate, known = measured_response(log), measured_response(log, delay=20)
     assert covers(estimate, plant) and covers(known, plant)  # a delay of the commanded input alone
     assert np.median(estimate.radius() / measured_response(bare).radius()) < 1 / 2
@@ -159,7 +146,7 @@ def moved_and_disturbed():
     return log_of(u, lfilter([0, 0.3], [1, -0.7], u), d=d)
 
 
-@pytest.mark.parametrize("size", [1.7e308, 1e31, 1e-31, 1e-310])
+@pytest.mark.parametrize("size", [1.7e308, 1e31, 1e-31])
 @pytest.mark.parametrize("signal", ["u", "y", "disturbance"])
 def test_numbers_of_no_unit_are_named(signal, size):
     log = moved_and_disturbed()

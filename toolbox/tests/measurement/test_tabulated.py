@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import STAGE_WITH_MODES, lags, random_stable
+from plants import STAGE_WITH_MODES, random_stable
 from plants import lag as lag_model
 
 from ilctools import NormOptimal, measured_response
@@ -75,7 +75,6 @@ def test_any_measured_response_draws_itself_and_goes_to_python_control():
 @pytest.mark.parametrize(
     ("plant", "lines"),
     [
-        (lags(), np.geomspace(0.005, np.pi, 100)),
         (control.ss(control.tf([0.2], [1, -0.8, *[0] * 12], 1.0)), np.linspace(0.02, np.pi, 200)),
         (STAGE_WITH_MODES, np.geomspace(1, 1000 * np.pi, 400)),
         (random_stable(3, m=3, Ts=1.0)[:2, :], np.geomspace(0.01, 3.0, 80)),

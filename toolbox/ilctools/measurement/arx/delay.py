@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ilctools.measurement.arx.likelihood import Fit, likeliest
-from ilctools.measurement.arx.prior import FIRST_GUESSES, Hyperparameters
+from ilctools.measurement.arx.prior import FIRST_GUESSES, WITHOUT_DRIFT, Hyperparameters
 from ilctools.measurement.arx.regressors import data_of
 from ilctools.measurement.arx.trials import Trials, contrasts, longest_of
 
@@ -29,7 +29,7 @@ ROOM_OF_SIGNALS, ROOM_OF_MOVES = 0.9, 0.98
 WHITENING = 0.8
 
 
-def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=None) -> Fit:
+def with_delays(groups: Sequence[Trials], direct: bool, least: np.ndarray, gain=()) -> Fit:
     """Find the likeliest fit, with the least delays or with delays from correlations.
 
     The argument `least` holds the least delay of each input, shape (m + d,). `data_of` explains
@@ -62,8 +62,7 @@ def _anew(eta):
 
     The old size comes from a fit without the delay. Such a fit makes B too small.
     """
-    guess = Hyperparameters(*FIRST_GUESSES[0]).log_c_B
-    return np.array(Hyperparameters(*eta)._replace(log_c_B=guess))
+    return np.array(Hyperparameters(*eta)._replace(log_c_B=WITHOUT_DRIFT.log_c_B))
 
 
 def _latest(groups, differences):

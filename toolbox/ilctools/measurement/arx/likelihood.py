@@ -33,14 +33,14 @@ from scipy.optimize import minimize
 from ilctools.measurement.arx.posterior import posterior
 from ilctools.measurement.arx.prior import (
     FIRST_GUESSES,
+    LOG_T,
     OF_OUTPUT,
+    RHO,
     WIDTH,
-    Hyperparameters,
     prior,
     standardised,
 )
 from ilctools.measurement.arx.regressors import Data
-from ilctools.measurement.arx.unknowns import Kind
 
 # Options of Newton's method with a trust region: eta may move by the largest radius at once, which
 # is a factor of 400 in variance. If the gradient is below gtol, `NEWTON_STEPS` more steps are exact
@@ -50,8 +50,6 @@ NEWTON_STEPS = 3
 LONGEST_NEWTON_STEP = 1.0  # of each hyperparameter
 # A search ends if (4) exceeds the least value by more than PATIENCE times what a Newton step gains.
 PATIENCE = 4.0
-NAMES = Hyperparameters._fields
-LOG_T, RHO = NAMES.index("log_T"), NAMES.index("rho")
 
 
 class Likelihood:
@@ -91,9 +89,8 @@ class Likelihood:
     def _of_parts(self):
         """Compute by (4a) the derivatives of r, and those of log |U| - n_1 / 2 log w."""
         data, at, z = self.data, self._at, self._at.z
-        J, curved = _slopes_of_log_D(self.eta, data.layout)
-        half = at.inverse()
-        V = np.triu(half) + np.triu(half, 1).T
+        _, J, curved = prior(self.eta, data.layout)
+        V = at.inverse()
         of_r, of_log_U = -(z**2), (1 - np.diag(V)) / 2  # over log D
         r = Slopes(J.T @ of_r, J.T @ (z[:, None] ** 2 * J))
         log_U = Slopes(J.T @ of_log_U, J.T @ (np.diag(V)[:, None] * J) / 2)
@@ -123,20 +120,6 @@ class Likelihood:
         traces[RHO] -= slope * mixed
         traces[:, RHO] -= slope * mixed
         traces[RHO, RHO] += slope**2 * np.sum(VK * VK.T)
-
-
-def _slopes_of_log_D(eta, layout):
-    """Compute first and second derivatives of log D with respect to eta.
-
-    The first result is the Jacobian J, shape (unknown, entry). The other result is the second
-    derivative with respect to log T, shape (unknown,). All other second derivatives are zero.
-    """
-    of_D = prior(Hyperparameters(*eta), layout)
-    kinds = [NAMES.index(kind.hyperparameter) for kind in Kind]
-    J = np.zeros((layout.size, len(NAMES)))
-    J[np.arange(layout.size), np.take(kinds, layout.kind)] = 1.0
-    J[:, LOG_T] = of_D.slope
-    return J, of_D.curvature
 
 
 class Slopes(NamedTuple):

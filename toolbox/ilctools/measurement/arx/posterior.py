@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
+from scipy.special import expit
 
-from ilctools.measurement.arx.prior import Hyperparameters, prior
+from ilctools.measurement.arx.prior import RHO, prior
 from ilctools.measurement.arx.regressors import Data
 
 # Added to the diagonal of U' U, relative to the diagonal. Rounding in Cholesky's method is a few
@@ -47,14 +48,14 @@ class Posterior(NamedTuple):
         return self.root_D * self.z
 
     def inverse(self) -> np.ndarray:
-        """Compute the upper half of (U' U)^-1, with the diagonal."""
-        return dpotri(self.U)[0]
+        """Compute (U' U)^-1."""
+        upper = dpotri(self.U)[0]  # below its diagonal there is what U has there: zeros
+        return upper + np.triu(upper, 1).T
 
     @property
     def spread(self) -> np.ndarray:
         """The matrix (X' X + D^-1)^-1, which maps an error of X' y to the resulting error of x."""
-        inverse = self.inverse() * np.outer(self.root_D, self.root_D)
-        return np.triu(inverse) + np.triu(inverse, 1).T
+        return self.inverse() * np.outer(self.root_D, self.root_D)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Compute W = U'^-1 D^(1/2) Z for columns Z.
@@ -66,8 +67,7 @@ class Posterior(NamedTuple):
 
 def posterior(eta: np.ndarray, data: Data) -> Posterior:
     """Compute the posterior (3) at one vector of hyperparameters."""
-    eta = Hyperparameters(*eta)
-    weight = eta.weight if data.n_1 else 1.0
+    weight = expit(-eta[RHO]) if data.n_1 else 1.0
     root_D = np.exp(prior(eta, data.layout).log_D / 2)
     G = data.weighted(weight)  # of [X, y]
     XX, Xy, yy = G[:-1, :-1], G[:-1, -1], G[-1, -1]

@@ -22,13 +22,12 @@ The hyperparameters are logarithms. In the prior they are normal and independent
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit
 
 from ilctools.measurement.arx.unknowns import Kind, Layout
 
 
 class Hyperparameters(NamedTuple):
-    """The hyperparameters eta by name; a search takes them as a vector, np.array(eta)."""
+    """The entries of the hyperparameters eta, by name; elsewhere eta is a vector."""
 
     log_c_A: float
     log_c_B: float
@@ -38,14 +37,11 @@ class Hyperparameters(NamedTuple):
     rho: float  # a mean over trials, in which a disturbance may repeat, weighs 1 / (1 + exp(rho))
     log_c_SLOW: float
 
-    def of_kinds(self) -> np.ndarray:
-        """Return log c of each :class:`Kind`, in the order of :class:`Kind`."""
-        return np.array([getattr(self, kind.hyperparameter) for kind in Kind])
 
-    @property
-    def weight(self) -> float:
-        """The weight of means over trials."""
-        return expit(-self.rho)
+NAMES = Hyperparameters._fields
+# Where eta has the log c of each kind, log T and rho.
+LOG_C = np.array([NAMES.index(f"log_c_{kind.name}") for kind in Kind])
+LOG_T, RHO = NAMES.index("log_T"), NAMES.index("rho")
 
 
 class Assumed(NamedTuple):
@@ -94,14 +90,17 @@ class Prior(NamedTuple):
     """The prior variances (2) of the unknowns, and their derivatives."""
 
     log_D: np.ndarray  # (unknown,)
-    slope: np.ndarray  # derivative of log D over log T, (unknown,)
-    curvature: np.ndarray  # second derivative of log D over log T, (unknown,)
+    slopes: np.ndarray  # derivatives of log D over eta, (unknown, entry)
+    # Second derivative of log D over log T, (unknown,). All other second derivatives are zero.
+    curvature: np.ndarray
 
 
-def prior(eta: Hyperparameters, layout: Layout) -> Prior:
+def prior(eta: np.ndarray, layout: Layout) -> Prior:
     """Compute (2), the variances of the unknowns relative to s^2."""
-    per_T = np.exp(-eta.log_T)  # 1 / T
+    per_T = np.exp(-eta[LOG_T])  # 1 / T
     lag, gap = layout.lag * per_T, np.minimum(layout.gap * per_T, LARGEST_LOGARITHM)
-    log_D = eta.of_kinds()[layout.kind] - lag + np.log(-np.expm1(-gap))  # (2)
+    log_D = np.take(eta, LOG_C[layout.kind]) - lag + np.log(-np.expm1(-gap))  # (2)
     falls = gap / np.expm1(gap)
-    return Prior(log_D, lag - falls, falls * (1 - gap - falls) - lag)
+    slopes = np.eye(len(NAMES))[LOG_C[layout.kind]]
+    slopes[:, LOG_T] = lag - falls
+    return Prior(log_D, slopes, falls * (1 - gap - falls) - lag)

@@ -32,7 +32,6 @@ def covariance(eta: np.ndarray, S: np.ndarray, data: Data) -> np.ndarray:
     mean, C = posterior(eta, data).mean, 0.0
     for point in points:
         there = posterior(point, data)
-        own = there.r / data.n * there.inverse() * np.outer(there.root_D, there.root_D)
         moved = there.mean - mean
-        C = C + (own + np.outer(moved, moved)) / len(points)
-    return np.triu(C) + np.triu(C, 1).T
+        C = C + (there.r / data.n * there.spread + np.outer(moved, moved)) / len(points)
+    return C

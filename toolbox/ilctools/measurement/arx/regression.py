@@ -64,20 +64,22 @@ class Regression:
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """Compute P at n angles omega Ts; the result has the shape (n, m)."""
-        A, layout = self._A(omega), self.data.layout
+        layout = self.data.layout
         B = [
             layout.waves_of_B(j, omega) @ self.mean[layout.where_B(j)]
             for j in range(self.commanded)
         ]
-        return np.stack(B, axis=1) / A[:, None]
+        return np.stack(B, axis=1) / self.denominator_at(omega)[:, None]
 
-    def _A(self, omega):
+    def denominator_at(self, omega: np.ndarray) -> np.ndarray:
+        """Compute A at n angles omega Ts."""
         layout = self.data.layout
         return 1 + layout.waves_of_A(omega) @ self.mean[layout.where(Kind.A)]
 
     def covariance(self, omega: np.ndarray) -> ErrorOfP:
         """Compute the covariance of dP, see (6), at n angles omega Ts."""
-        layout, P, A = self.data.layout, self.response(omega), self._A(omega)[:, None]
+        layout, P = self.data.layout, self.response(omega)
+        A = self.denominator_at(omega)[:, None]
         of_A = np.zeros((len(omega), layout.size), complex)  # dA / A by each unknown
         of_A[:, layout.where(Kind.A)] = layout.waves_of_A(omega) / A
         of_P = []  # dP_j by each unknown, input by input
@@ -120,10 +122,6 @@ class Regression:
         A = np.fft.rfft(a, 2 * len(a) + 4096)
         return np.angle(A[1:] / A[:-1])
 
-    def denominator_at(self, omega: np.ndarray) -> np.ndarray:
-        """Compute A at n angles omega Ts."""
-        return self._A(omega)
-
     def numerators(self, n: int) -> np.ndarray:
         """Compute the estimates of B over n lags; the result has the shape (m + d, n).
 
@@ -163,13 +161,13 @@ class Regression:
         return fftconvolve(y, self.denominator[None], axes=1)[:, : y.shape[1]] - answer
 
 
-def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=None) -> Regression:
+def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=()) -> Regression:
     """Estimate P from all commanded inputs to one output.
 
     `direct` says whether y(t) may depend on the commanded inputs at the same time t, or at t minus
     their delay, and not only on earlier inputs. `delays` are the least delays of the commanded
     inputs in samples, (m,). Larger delays are tried if correlations show them. `gain` is P at zero
-    frequency, (m,), if this is known.
+    frequency, (m,), or empty if this is not known.
     """
     commanded = groups[0].commanded
     least = np.zeros(groups[0].u.shape[2], int)  # no delay of a known disturbance is known

@@ -33,35 +33,28 @@ class Regressors:
 
     def __init__(self, series: Series, layout: Layout):
         self.samples, self.layout = len(series.y), layout
-        signals = [(Kind.A, None, -series.y, layout.knots_of_A)]
+        self._lagged = [(layout.where(Kind.A), Lagged(-series.y, layout.knots_of_A))]
+        self._slow = []
         for j, (u, knots) in enumerate(zip(series.u.T, layout.knots_of_B, strict=True)):
-            signals.append((Kind.B, j, u, knots))
+            self._lagged.append((layout.where(Kind.B, j), Lagged(u, knots)))
+            self._slow.append((layout.where(Kind.SLOW, j), _slow_parts(u, layout.poles)))
         if not layout.skipped:
-            pulse = np.eye(1, self.samples)[0]
-            signals.append((Kind.START, series.key, pulse, layout.knots_of_start))
-        self._lagged = [(layout.where(*of), Lagged(z, knots)) for *of, z, knots in signals]
-        self._slow = [
-            (layout.where(Kind.SLOW, j), _slow_parts(u, layout.poles))
-            for j, u in enumerate(series.u.T)
-        ]
-        self._drift = None
-        if series.key.has_what_repeats:  # a drift is common to the trials of a group
-            self._drift = layout.where(Kind.DRIFT, series.key.group)
+            start = Lagged(np.eye(1, self.samples)[0], layout.knots_of_start)
+            self._lagged.append((layout.where(Kind.START, series.key), start))
+        self._drifts, self._group = series.key.has_what_repeats, series.key.group
 
-    def rows(self, begin: int = 0, end: int | None = None, more: int = 0) -> np.ndarray:
-        """Compute X' from sample `begin` up to the sample before `end`.
-
-        The rows of X' are followed by `more` rows of zeros.
-        """
+    def rows(self, begin: int = 0, end: int | None = None) -> np.ndarray:
+        """Compute X' from sample `begin` up to the sample before `end`."""
         end = self.samples if end is None else end
-        X = np.zeros((self.layout.size + more, end - begin))
+        X = np.zeros((self.layout.size, end - begin))
         for where, lagged in self._lagged:
             lagged.write(X[where], begin)
         for where, slow in self._slow:
             X[where] = slow[:, begin:end]
-        if self._drift is not None:  # from zero before a knot to one at the next knot
+        if self._drifts:  # from zero before a knot to one at the next knot
             ends = np.linspace(0, self.samples - 1, DRIFT_KNOTS + 1)
-            X[self._drift] = np.clip((np.arange(begin, end) - ends[:-1, None]) / ends[1], 0, 1)
+            ramps = np.clip((np.arange(begin, end) - ends[:-1, None]) / ends[1], 0, 1)
+            X[self.layout.where(Kind.DRIFT, self._group)] = ramps
         return X
 
 
@@ -148,22 +141,21 @@ def _products(regressors, beside):
     products, on_line = 0.0, 0.0
     for begin in range(skipped, beside.shape[1], STRETCH):
         end = min(begin + STRETCH, beside.shape[1])
-        Z = regressors.rows(begin, end, len(beside))
-        Z[-len(beside) :] = beside[:, begin:end]
+        Z = np.vstack([regressors.rows(begin, end), beside[:, begin:end]])
         products = products + Z @ Z.T
         on_line = on_line + Z @ line[begin - skipped : end - skipped]
     return products - on_line @ on_line.T
 
 
-def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=None) -> Data:
+def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=()) -> Data:
     """Compute the products of trials for given delays.
 
     `layout_of` explains `direct`. `delays` are the delays of all inputs, (m + d,). `gain` is P at
-    zero frequency, (m,), if this is known.
+    zero frequency, (m,), or empty if this is not known.
     """
     layout = layout_of(groups, direct, delays)
     data = products(groups, layout)
-    for j, known in enumerate(() if gain is None else gain):
+    for j, known in enumerate(gain):
         data = data._replace(single=data.single + _at_rest(layout, j, known))
     return data
 

@@ -45,18 +45,13 @@ DRIFT_KNOTS = 64  # number of knots of a drift, which is straight between them
 
 
 class Kind(IntEnum):
-    """The part of (1) that an unknown belongs to; unknowns of a kind share the variance c."""
+    """The part of (1) that an unknown belongs to; unknowns of a kind share c, see `prior`."""
 
     A = 0  # increments of A
     B = 1  # increments of the B of an input
     START = 2  # increments of the response to what was before a series
     DRIFT = 3  # steps of the drift of a group
     SLOW = 4  # slow parts of the B of an input
-
-    @property
-    def hyperparameter(self) -> str:
-        """The name of the hyperparameter log c, see `prior`."""
-        return f"log_c_{self.name}"
 
 
 class Block(NamedTuple):

@@ -8,10 +8,6 @@ from scipy.signal import lfilter
 from ilctools.measurement.arx.delay import with_delays
 
 
-def noise(rng, N):
-    return held(rng, 3, N)
-
-
 def late_lag(seed, excite, N=600):
     """A lag of T samples behind a delay, under noise, and the delay."""
     rng = np.random.default_rng(seed)
@@ -25,7 +21,7 @@ def late_lag(seed, excite, N=600):
 @pytest.mark.parametrize(
     ("seed", "excite"),
     [
-        (0, noise),  # by the correlation of the moves alone: that of the signals is 3 samples late
+        (0, held),  # by the correlation of the moves alone: that of the signals is 3 samples late
         (8, steps),  # by that of the signals alone: the moves of y are noise
         (1, steps),  # by both
     ],
@@ -40,7 +36,7 @@ def test_a_long_delay_is_found(seed, excite):
 def test_no_delay_is_looked_for_where_the_answer_is_at_once():
     """Nor one before that which is known."""
     rng = np.random.default_rng(0)
-    u = held(rng, 3, 300)
+    u = held(rng, 300)
     y = lfilter([0, 0.3], [1, -0.7], u) + 0.03 * rng.standard_normal(300)
     groups = [group_of(y[None], u[None])]
     fit = with_delays(groups, True, np.zeros(1, int))

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from ilctools.measurement.arx import unknowns
 from ilctools.measurement.arx.likelihood import Likelihood, likeliest, polished
-from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, Hyperparameters, prior
+from ilctools.measurement.arx.prior import CENTRE, OF_OUTPUT, WIDTH, prior
 from ilctools.measurement.arx.regressors import data_of
 
 
@@ -30,7 +30,7 @@ def test_the_likelihood_is_that_of_the_normal_distribution(
     assert len(rows) == kept
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 5), [0.7, 0.4])
     ratio = 1 / (1 + np.exp(0.7)) if means.any() else 1.0
-    D = np.exp(prior(Hyperparameters(*eta), data.layout).log_D)
+    D = np.exp(prior(eta, data.layout).log_D)
     S = np.diag(np.where(means, 1 / ratio, 1.0)) + X * D @ X.T
     rest = y @ np.linalg.solve(S, y)
     by_hand = count / 2 * np.log(rest) + np.linalg.slogdet(S)[1] / 2
@@ -38,10 +38,9 @@ def test_the_likelihood_is_that_of_the_normal_distribution(
     off = eta + OF_OUTPUT * np.log(rest / count) - CENTRE
     at = Likelihood(eta, data)
     assert at.value == pytest.approx(by_hand + np.sum((off / WIDTH) ** 2) / 2, abs=1e-6)
-    steps = approx_fprime(eta, lambda x: Likelihood(x, data).value, 1e-6)
-    np.testing.assert_allclose(at.gradient, steps, rtol=1e-3, atol=1e-3)
-    steps = approx_fprime(eta, lambda x: Likelihood(x, data).gradient, 1e-6)
-    np.testing.assert_allclose(at.curvature, steps, rtol=1e-4, atol=1e-4)
+    for of, slopes, tolerance in (("value", at.gradient, 1e-3), ("gradient", at.curvature, 1e-4)):
+        steps = approx_fprime(eta, lambda x, of=of: getattr(Likelihood(x, data), of), 1e-6)
+        np.testing.assert_allclose(slopes, steps, rtol=tolerance, atol=tolerance)
 
 
 def with_noise_like_a_drift(seed):
@@ -64,10 +63,8 @@ def with_what_repeats(seed):
 @pytest.mark.parametrize(
     ("make", "seed"),
     [
-        (with_noise_like_a_drift, 32),  # with the guess of a drift alone, it is 2.6 higher
-        (with_noise_like_a_drift, 80),  # 4.4
-        (with_what_repeats, 29),  # with the guess of none alone, 10.1
-        (with_what_repeats, 92),  # 13.1
+        (with_noise_like_a_drift, 80),  # with the guess of a drift alone, it is 4.4 higher
+        (with_what_repeats, 92),  # with the guess of none alone, 13.1
     ],
 )
 def test_of_two_minima_the_lower_one_is_found(make, seed):

@@ -1,16 +1,9 @@
-"""The prior of the unknowns and of the hyperparameters."""
+"""The prior of the unknowns."""
 
 import numpy as np
-import pytest
 from records import trials_of
 
-from ilctools.measurement.arx.prior import (
-    CENTRE,
-    FIRST_GUESSES,
-    Hyperparameters,
-    prior,
-    standardised,
-)
+from ilctools.measurement.arx.prior import LOG_T, Hyperparameters, prior
 from ilctools.measurement.arx.regressors import Lagged
 from ilctools.measurement.arx.unknowns import Kind, layout_of
 
@@ -43,15 +36,7 @@ def test_slope_and_curvature_of_the_prior_are_those_of_differences():
     step = 1e-6
     above, below = (prior(ETA._replace(log_T=ETA.log_T + sign * step), layout) for sign in (1, -1))
     at = prior(ETA, layout)
-    for of_D, slope in (("log_D", at.slope), ("slope", at.curvature)):
-        differences = (getattr(above, of_D) - getattr(below, of_D)) / (2 * step)
-        np.testing.assert_allclose(slope, differences, atol=1e-7)
-
-
-def test_each_hyperparameter_stands_where_its_name_does():
-    centre, first = Hyperparameters(*CENTRE), Hyperparameters(*FIRST_GUESSES[0])
-    assert (centre.log_T, centre.log_c_SLOW, first.log_c_DRIFT) == (2.3, -5.8, -3.0)
-    away = Hyperparameters(*standardised(CENTRE, np.exp(-6.0)))  # noise of 5 % of the output
-    assert away == pytest.approx((-2.0, -2.0, -2.0, 0.0, 0.0, 0.0, -12.0))
-    np.testing.assert_array_equal(ETA.of_kinds()[[Kind.SLOW, Kind.START]], [0.3, 0.2])
-    assert ETA.weight == 0.5
+    slope = (above.log_D - below.log_D) / (2 * step)
+    np.testing.assert_allclose(at.slopes[:, LOG_T], slope, atol=1e-7)
+    curvature = (above.slopes - below.slopes)[:, LOG_T] / (2 * step)
+    np.testing.assert_allclose(at.curvature, curvature, atol=1e-7)

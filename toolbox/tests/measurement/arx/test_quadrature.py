@@ -4,7 +4,7 @@ import numpy as np
 from records import trials_of
 
 from ilctools.measurement.arx.likelihood import likeliest, polished
-from ilctools.measurement.arx.prior import Hyperparameters, prior
+from ilctools.measurement.arx.prior import prior
 from ilctools.measurement.arx.quadrature import HEAVY
 from ilctools.measurement.arx.regression import regression
 from ilctools.measurement.arx.regressors import data_of
@@ -19,12 +19,10 @@ def test_the_covariance_is_that_of_normal_distributions_with_other_hyperparamete
     b, s = data.single[:-1, -1], data.single[-1, -1]
     points = best.eta + HEAVY * len(S) ** 0.5 * np.concatenate([S, -S])
     for eta in points:
-        precision = data.single[:-1, :-1] + np.diag(
-            np.exp(-prior(Hyperparameters(*eta), data.layout).log_D)
-        )
-        mean = np.linalg.solve(precision, b)
-        variance = (s - mean @ b) / data.n
+        D = np.exp(prior(eta, data.layout).log_D)
+        covariance = np.linalg.inv(data.single[:-1, :-1] + np.diag(1 / D))
+        mean = covariance @ b
         off = mean - fit.mean
-        expected = expected + variance * np.linalg.inv(precision) + np.outer(off, off)
+        expected = expected + (s - mean @ b) / data.n * covariance + np.outer(off, off)
     expected /= len(points)
     np.testing.assert_allclose(fit.C, expected, rtol=1e-5, atol=1e-6 * expected.max())

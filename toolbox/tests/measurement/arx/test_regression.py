@@ -52,7 +52,7 @@ def test_the_covariance_of_P_is_that_of_the_coefficients_by_their_slopes():
 def test_a_P_that_is_known_at_rest_is_met_there():
     """Each of two gains, though the records say others: the error is a thousandth."""
     groups, rest, gain = [trials_of(1)], np.array([1e-4]), np.array([3.0, 4.0])
-    free, known = (regression(groups, True, gain=given) for given in (None, gain))
+    free, known = (regression(groups, True, gain=given) for given in ((), gain))
     np.testing.assert_allclose(known.response(rest)[0], gain, rtol=1e-3)
     assert np.abs(free.response(rest)[0] - gain).min() > 0.1
     variances = [np.trace(fit.covariance(rest).of_P[0]) for fit in (free, known)]

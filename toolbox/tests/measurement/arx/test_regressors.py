@@ -42,7 +42,7 @@ def test_each_regressor_is_the_response_to_a_signal():
 
 @pytest.mark.parametrize("stretch", [8192, 7])
 def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
-    """In short stretches, too, and with a column beside them, found by the key of its series."""
+    """In short stretches, too."""
     monkeypatch.setattr(regressors, "STRETCH", stretch)
     groups = [trials_of(2), trials_of(1, N=40)]
     layout = layout_of(groups, True, np.array([0, 7]))
@@ -52,14 +52,3 @@ def test_products_are_those_of_all_rows_at_once(monkeypatch, stretch):
         Z = rows[which]
         np.testing.assert_allclose(part, Z.T @ Z, atol=1e-9 * np.abs(Z.T @ Z).max())
     assert (found.n, found.n_1) == (160 - 6, 60 - 2)
-    beside = {series.key: series.y[None] ** 2 for series in reversed([*series_of(groups)])}
-    wide = products(groups, layout, lambda series: beside[series.key])
-    np.testing.assert_allclose(wide.single[:-1, :-1], found.single, rtol=1e-12, atol=1e-9)
-    squares = [series.y**2 for series in series_of(groups)]
-    weights = np.linalg.norm([np.linalg.norm(_without_line(z)) for z in squares])
-    assert wide.weighted(1.0)[-1, -1] ** 0.5 == pytest.approx(weights, rel=1e-9)
-
-
-def _without_line(z):
-    line = np.vander(np.arange(len(z)), 2)
-    return z - line @ np.linalg.lstsq(line, z)[0]

@@ -1,4 +1,4 @@
-"""The unknowns of a regression: which there are, and where they stand."""
+"""The unknowns of a regression: their lags, and the responses that they make."""
 
 from dataclasses import replace
 
@@ -9,29 +9,6 @@ from records import trials_of
 from ilctools.measurement.arx import unknowns as module
 from ilctools.measurement.arx.trials import SeriesKey
 from ilctools.measurement.arx.unknowns import Kind, coefficients, knots_between, layout_of, waves
-
-
-def test_every_unknown_has_one_place():
-    """A, each B, slow parts, a start for each series and a drift for each group."""
-    groups = [trials_of(2), trials_of(1, N=40)]
-    layout = layout_of(groups, True, np.array([0, 7]))
-    owners = {
-        Kind.A: [None],
-        Kind.B: [0, 1],
-        Kind.SLOW: [0, 1],
-        Kind.START: [SeriesKey(0, 0), SeriesKey(0, 1), SeriesKey(1, 0)],
-        Kind.DRIFT: [0, 1],
-    }
-    places = np.arange(layout.size)
-    found = [places[layout.where(kind, owner)] for kind in owners for owner in owners[kind]]
-    np.testing.assert_array_equal(np.sort(np.concatenate(found)), places)
-    for kind, each in owners.items():
-        for owner in each:
-            assert np.all(layout.kind[layout.where(kind, owner)] == kind)
-    both = [layout.where(kind, 1) for kind in (Kind.B, Kind.SLOW)]
-    np.testing.assert_array_equal(
-        places[layout.where_B(1)], np.r_[tuple(places[at] for at in both)]
-    )
 
 
 @pytest.mark.parametrize("direct", [True, False])
