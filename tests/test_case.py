@@ -10,7 +10,7 @@ def test_paper_loop_takes_another_rod_degree_and_period():
     assert loop.plant.input_labels == ["Q1", "Q3", "theta_a", "Q2", "Q4"]
 
 
-@pytest.mark.parametrize("steepness", [0.7, 1.0, 2.0])
+@pytest.mark.parametrize("steepness", [0.7, 2.0])
 def test_a_reference_has_the_plateaus_and_the_slopes_that_are_given(steepness):
     """A quintic step of height h and duration T has a largest slope of 1.875 h / T, in its middle.
 

@@ -49,30 +49,29 @@ def test_the_current_is_the_least_that_gives_the_heat_or_the_best(heat, resistan
 
 
 def reference_solution(rod, p, currents, ambient_rate, Ts):
-    """Readings by scipy, from heat flows in watts and absolute temperatures, one cell at a time."""
-    cells, share = rod.sections * p.cells, 1 / p.cells
+    """Readings by scipy, from heat flows in watts and absolute temperatures."""
+    cells, e = rod.sections * p.cells, p.element
     dz = rod.length / cells
-    mass = rod.density * rod.heat_capacity * rod.width * rod.height * dz
-    e, middles = p.element, (np.arange(cells) + 0.5) * dz
+    surface, section = rod.width * dz, rod.width * rod.height  # m2, of a cell
+    middles = (np.arange(cells) + 0.5) * dz
 
     def slopes(t, x, current):
         theta, sinks, shown = np.split(x, [cells, cells + rod.sections])
-        room, rates = p.temperature + ambient_rate * t, np.zeros_like(x)
-        for i, T in enumerate(theta):
-            s = i // p.cells
-            into = e.heat(current[s], T, sinks[s]) * share
-            for j in {max(i - 1, 0), min(i + 1, cells - 1)} - {i}:
-                into += rod.conductivity * rod.width * rod.height / dz * (theta[j] - T)
-            lost = p.convection * abs(T - room) ** 0.25 * (T - room)
-            lost += p.emissivity * 5.670374419e-8 * (T**4 - room**4)
-            rates[i] = (into - lost * rod.width * dz) / mass
-        for s, T in enumerate(sinks):
-            mean = theta[s * p.cells : (s + 1) * p.cells].mean()
-            power = e.seebeck * (mean - T) * current[s] + e.resistance * current[s] ** 2
-            taken = e.heat(current[s], mean, T) - power
-            rates[cells + s] = (-taken - p.fan * (T - room)) / p.sink_capacity
-        rates[cells + rod.sections :] = (np.interp(rod.sensors, middles, theta) - shown) / p.lag
-        return rates
+        room = p.temperature + ambient_rate * t
+        lost = p.convection * abs(theta - room) ** 0.25 * (theta - room)
+        lost += p.emissivity * 5.670374419e-8 * (theta**4 - room**4)
+        pumped = e.heat(current.repeat(p.cells), theta, sinks.repeat(p.cells)) / p.cells
+        into = pumped - lost * surface
+        conducted = rod.conductivity * section * np.diff(theta) / dz  # to the cell before
+        into[:-1] += conducted
+        into[1:] -= conducted
+        mean = theta.reshape(-1, p.cells).mean(axis=1)
+        power = e.seebeck * (mean - sinks) * current + e.resistance * current**2
+        taken = e.heat(current, mean, sinks) - power
+        warmed = (-taken - p.fan * (sinks - room)) / p.sink_capacity
+        followed = (np.interp(rod.sensors, middles, theta) - shown) / p.lag
+        mass = rod.density * rod.heat_capacity * section * dz  # J/K
+        return np.concatenate([into / mass, warmed, followed])
 
     x, readings = np.full(cells + rod.sections + len(rod.sensors), p.temperature), []
     for k, current in enumerate(currents):

@@ -151,11 +151,13 @@ class Replay:
         if self.law is None or not self.resets:
             return None
         parts = parts_of(self.trials)
+        zero = np.zeros_like(parts[0]["v"])
+        unknown = zero + np.nan
         begun = self.numbers[0] > 1 or BEGUN in self.trials.attrs
-        expected = [(np.full_like(parts[0]["v"], np.nan if begun else 0), None)]
+        expected = [(unknown if begun else zero, None)]
         for k, step in enumerate(np.diff(self.numbers), start=1):
             if step > 1:
-                expected.append((np.full_like(parts[k]["v"], np.nan), None))
+                expected.append((unknown, None))
             else:
                 upcoming = parts[k]["reference"]
                 expected.append(next_step(self.law, self.between, parts[:k], upcoming))
@@ -181,9 +183,9 @@ class Replay:
         trial. A negative distance means that the output exceeded a limit. The result is None
         without limits of outputs.
         """
-        limits = getattr(self.law, "output_limits", None)
-        if limits is None or self.expected is None:
+        if self.expected is None or self.law.output_limits is None:
             return None
+        limits = self.law.output_limits
         distance = [limits.distance(y) for y in self.trials.y.values]
         table = self._by_trial(distance)[[*limits.limits]]
         alpha = [np.nan if step is None else step.alpha for _, step in self.expected]

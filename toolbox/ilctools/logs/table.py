@@ -3,7 +3,6 @@
 import re
 import warnings
 from collections.abc import Mapping
-from contextlib import contextmanager
 from itertools import chain
 
 import pandas as pd
@@ -117,20 +116,25 @@ def read_table(
     >>> log.attrs["Ts"], log.y.shape
     (0.5, (1, 3, 1))
     """
-    asked = _asked(
-        outputs=outputs,
-        inputs=inputs,
-        reference=reference,
-        v=v,
-        disturbances=disturbances,
-        measured=measured,
-    )
+    given = {
+        "outputs": outputs,
+        "inputs": inputs,
+        "reference": reference,
+        "v": v,
+        "disturbances": disturbances,
+        "measured": measured,
+    }
+    asked = {
+        argument: arguments.by_name(argument, columns, columns)
+        for argument, columns in given.items()
+        if columns is not None
+    }
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
-    given = isinstance(path, pd.DataFrame)
-    source = path if given else arguments.path("path", path)
-    with about("path" if given else source):
+    is_frame = isinstance(path, pd.DataFrame)
+    source = path if is_frame else arguments.path("path", path)
+    with about("path" if is_frame else source):
         frame, notes = _frame_of(source, options)
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
@@ -138,37 +142,24 @@ def read_table(
         return trials_of(table, signals, Ts, notes)
 
 
-def _asked(**columns):
-    """Return the columns of each argument that was passed, checked."""
-    return {
-        argument: arguments.by_name(argument, given, given)
-        for argument, given in columns.items()
-        if given is not None
-    }
-
-
 def _frame_of(source, options):
-    """Return the table that pandas reads, or has read, and a note on its origin."""
+    """Return the table that pandas reads, or has read, and a note on its origin.
+
+    Rows with more entries than titles are refused, because pandas cuts them off with a warning.
+    """
     if isinstance(source, pd.DataFrame):
         return pd.DataFrame(source, **options), {}
     remedy = "pass the encoding of the file to read_table, such as encoding='cp1252' or 'utf-16'"
-    with text_in(options.get("encoding") or "utf-8", remedy), _no_lost_columns():
-        frame = pd.read_csv(regular(source), **OPTIONS | options)
-    return frame, {"origin": f"read from {source.name}"}
-
-
-@contextmanager
-def _no_lost_columns():
-    """Refuse rows with more entries than titles, which pandas cuts off with a warning."""
     try:
-        with warnings.catch_warnings():
+        with text_in(options.get("encoding") or "utf-8", remedy), warnings.catch_warnings():
             warnings.filterwarnings("error", "Length of header", pd.errors.ParserWarning)
-            yield
+            frame = pd.read_csv(regular(source), **OPTIONS | options)
     except pd.errors.ParserWarning:
         raise LogError(
             "the rows have more entries than there are titles. If the comma is both the separator "
             "and the decimal mark, export the table with semicolons, and pass sep=';', decimal=','"
         ) from None
+    return frame, {"origin": f"read from {source.name}"}
 
 
 def _signals(frame, asked, units):

@@ -5,6 +5,7 @@ import numpy as np
 from ilctools import arguments
 from ilctools.errors import RigError, StoppedError
 from ilctools.law.limits import UNLIMITED
+from ilctools.loop.closed import CurrentTrialLoop
 from ilctools.rigs.controller import Controller
 from ilctools.rigs.description import RigDescription
 from ilctools.rigs.interrupts import Interrupts
@@ -30,7 +31,8 @@ class ControlledRig:
     def new_controller(self) -> Controller | None:
         """Make a controller in its initial state; return None if the rig has its own controller."""
         about = self.about
-        return Controller(about.loop, about.decimals.get("u")) if about.controller_is_ours else None
+        ours = isinstance(about.loop, CurrentTrialLoop)
+        return Controller(about.loop, about.decimals.get("u")) if ours else None
 
     def begin(self, trial: int) -> None:
         """If the rig can do so, bring it to where trials begin; then reset the controller."""
@@ -109,9 +111,8 @@ class ControlledRig:
         """Read and check y, the known disturbances, and u if the rig has its own controller."""
         names, driver = self.about.signals, self.about.driver
         y, measured = driver.read(), driver.measured if names.measured_as else {}
-        part = {
-            "y": self.reading(f"reading of {', '.join(names.outputs)}", y, (len(names.outputs),))
-        }
+        outputs = self.about.outputs
+        part = {"y": self.reading(f"reading of {', '.join(outputs)}", y, (len(outputs),))}
         known = dict(zip(names.commanded, flows, strict=True))
         for name, signal in names.measured_as.items():
             value = float(self.reading(name, measured.get(name), ()))

@@ -23,7 +23,6 @@ ROUNDED_SIGNALS = ["v", "u", "delta", "disturbance"]  # the signals that `decima
 class RigSignals:
     """Names of the signals that a rig takes and measures, and that are recorded."""
 
-    outputs: list[str]  # y, in the order of the numbers that `read` returns
     commands: list[str]  # u if our controller runs, w if the rig has its own
     inputs: list[str]  # of the rig, in the order of the numbers that `apply` takes
     controls: list[str]  # u, which a rig reports if the controller is its own; else empty
@@ -67,13 +66,8 @@ class RigDescription:
 
     @property
     def outputs(self) -> list[str]:
-        """Names of the outputs y."""
+        """Names of the outputs y, in the order of the numbers that `read` returns."""
         return self.loop.outputs
-
-    @property
-    def controller_is_ours(self) -> bool:
-        """Whether our controller runs and sends u; otherwise the rig's own controller takes w."""
-        return isinstance(self.loop, CurrentTrialLoop)
 
     def rounded(self, signal: str, values) -> np.ndarray:
         """Round a signal to the decimals that are recorded."""
@@ -169,4 +163,4 @@ def _signals(driver, loop):
         raise ValueError(f"rig.measured must contain the controls {missing} of the loop")
     commanded = [name for name in loop.disturbances if name in inputs]
     known = [name for name in loop.disturbances if name in inputs or name in measured]
-    return RigSignals(loop.outputs, commands, inputs, controls, commanded, known)
+    return RigSignals(commands, inputs, controls, commanded, known)

