@@ -17,31 +17,27 @@ from rodlib.paper import ROOT, published
 
 SOURCE = ROOT / "docs" / "law.c"
 FULL = LearningFilter(published.matrix("L_full"), 1.0)
-RNG = np.random.default_rng(0)
-EXACT = LearningFilter(RNG.integers(-64, 64, (2, 2, 5)) / 16, 1.0)
+RNG, Q = np.random.default_rng(0), zero_phase_butterworth(2, 0.5, 1.0)
 ONE = LearningFilter([[[0.5, 0.25]]], 0.1)
+
+
+def random(rows, columns, order, first=1):
+    """A filter with coefficients of a few binary digits."""
+    return LearningFilter(RNG.integers(-64, 64, (rows, columns, order)) / 64, 1.0, first=first)
+
+
+EXACT = random(2, 2, 5)
 OF_MODEL = RegularisedInverse(control.ss(0.5, 0.5, 1, 0, 1.0), 0.1, [1.0])
 LAWS = {
     "the paper's": Law(zero_phase_butterworth(2, 0.1, 1.0), FULL, rest=15),
     "one channel, slower": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, gain=0.3),
-    "back and ahead": Law(
-        zero_phase_butterworth(2, 0.5, 1.0),
-        LearningFilter(RNG.integers(-64, 64, (2, 2, 7)) / 64, 1.0, first=-3),
-    ),
+    "back and ahead": Law(Q, random(2, 2, 7, first=-3)),
     "of many samples": Law(
-        zero_phase_butterworth(2, 0.5, 1.0),
-        LearningFilter(RNG.standard_normal((1, 1, 303)), 1.0, first=-151),
+        Q, LearningFilter(RNG.standard_normal((1, 1, 303)), 1.0, first=-151), limits={}
     ),
     "order five": Law(zero_phase_butterworth(5, 0.5, 1.0), EXACT, rest=1),
-    "two errors, three v": Law(
-        zero_phase_butterworth(2, 0.5, 1.0),
-        LearningFilter(RNG.integers(-64, 64, (3, 2, 7)) / 64, 1.0, first=-3),
-    ),
-    "three errors, one v": Law(
-        zero_phase_butterworth(2, 0.5, 1.0),
-        LearningFilter(RNG.integers(-64, 64, (1, 3, 4)) / 64, 1.0),
-    ),
-    "no limits on any rig": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, limits={}),
+    "two errors, three v": Law(Q, random(3, 2, 7, first=-3)),
+    "three errors, one v": Law(Q, random(1, 3, 4)),
 }
 
 
@@ -129,7 +125,6 @@ def run_of(program, law, trial, folder, *samples):
     [
         ("1 2\n3 4\n5", "line 3 is no 2 numbers"),
         ("1 2\n3 4x\n5 6\n", "line 2 is no 2 numbers"),
-        ("1 2\nnan 4\n", "line 2 is no 2 numbers"),
         ("1 2\n1e999 4\n", "line 2 is no 2 numbers"),
         ("1 2\n3 4\n5 6\n", "the trial has 3 samples"),
         ("1 2\n3 4", "line 2 is no 2 numbers, torn"),
@@ -194,8 +189,8 @@ def test_a_damaged_law_is_refused_or_that_of_python(sanitized, name, tmp_path):
 
 BEYOND = {  # what law.c and law.m leave to Python
     "ends": Law(zero_phase_butterworth(2, 0.1, 1.0, ends="hold"), EXACT),
-    "limits": Law(zero_phase_butterworth(2, 0.1, 1.0), EXACT, limits={"Q1": (-1, 1)}),
-    "model": Law(zero_phase_butterworth(2, 0.1, 1.0), OF_MODEL @ LearningFilter([[[1.0]]], 1.0)),
+    "limits": Law(Q, EXACT, limits={"Q1": (-1, 1)}),
+    "model": Law(Q, OF_MODEL @ LearningFilter([[[1.0]]], 1.0)),
 }
 SECTIONS = '{"sections": [[1, %s, 0, 1, %s, 0]]}'
 UNREAD = [  # what Python does not read, or does without

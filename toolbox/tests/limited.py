@@ -19,7 +19,6 @@ class Task(NamedTuple):
     reference: np.ndarray
     noise: np.ndarray  # of each output, at most
     truths: list
-    limits: dict
 
 
 def task(seed: int, p: int, m: int, errors: int = 3) -> Task | None:
@@ -28,9 +27,9 @@ def task(seed: int, p: int, m: int, errors: int = 3) -> Task | None:
     P, radius = plant(rng, p, m), rng.uniform(0.02, 0.3)
     outputs, inputs = P.output_labels, P.input_labels
     one_for_one = {} if p == m else {"references": {}, "learned": inputs}
-    loop = ClosedLoop(P, **one_for_one)
     units = rng.choice([1.0, 1e-3, 40.0], p)  # one output in mm, another in kN
-    loop = ClosedLoop(in_units(P, units, units if p == m else np.ones(m)), **one_for_one)
+    of_inputs = units if p == m else np.ones(m)
+    loop = ClosedLoop(in_units(P, units, of_inputs), **one_for_one)
     scale = dict(zip(outputs, units, strict=True))
     Q = zero_phase_butterworth(2, rng.uniform(0.3, 1.0), 1.0)
     try:
@@ -44,13 +43,11 @@ def task(seed: int, p: int, m: int, errors: int = 3) -> Task | None:
     noise = rng.choice([0.0, 1e-3]) * units
     above = r.max(axis=0) * (1 + rng.uniform(0.001, 0.05, p)) + 2 * noise
     limits = {}
-    for i, name in enumerate(outputs):
-        high = above[i]
+    for name, high, r_i, n in zip(outputs, above, r.T, noise, strict=True):
+        low = -0.1 * high
         if rng.random() < 0.3:  # a limit that changes with time
-            high = np.minimum(above[i] * rng.uniform(1, 1.5, samples), r[:, i] + 0.2 * above[i])
-            high += 2 * noise[i]
-        low = rng.choice([-np.inf, -0.1 * above[i]])
-        limits[name] = low, high
+            high = np.minimum(high * rng.uniform(1, 1.5, samples), r_i + 0.2 * high) + 2 * n
+        limits[name] = rng.choice([-np.inf, low]), high
     options = {"rest": int(rng.choice([0, 12])), "gain": rng.choice([1.0, 1.0, 0.4])}
     if rng.random() < 0.3:
         widest = 3 * np.abs(r).max() if p == m else 30.0
@@ -64,8 +61,8 @@ def task(seed: int, p: int, m: int, errors: int = 3) -> Task | None:
     for k in range(errors):
         wrong = P + error(rng, k, P, response.omega, response.radius)
         wrong.update_names(inputs=inputs, outputs=outputs)
-        truths.append(in_units(wrong, units, units if p == m else np.ones(m)))
-    return Task(loop, design.law(**options), law, r, noise, truths, limits)
+        truths.append(in_units(wrong, units, of_inputs))
+    return Task(loop, design.law(**options), law, r, noise, truths)
 
 
 def plant(rng, p, m):
@@ -74,9 +71,7 @@ def plant(rng, p, m):
     A = np.diag(rng.uniform(0.5, 0.97, n))
     if rng.random() < 0.4:  # a resonance
         size, angle = rng.uniform(0.8, 0.95), rng.uniform(0.1, 0.5)
-        A[:2, :2] = size * np.array(
-            [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        )
+        A[:2, :2] = size * turn(angle)
     B, C = rng.normal(size=(n, m)), rng.normal(size=(p, n))
     at_rest = C @ np.linalg.solve(np.eye(n) - A, B)
     if np.linalg.cond(at_rest) > 20:
@@ -86,11 +81,16 @@ def plant(rng, p, m):
     return control.ss(A, B, C, 0, 1.0, **names)
 
 
+def turn(angle):
+    """A rotation of the plane."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
 def in_units(P, outputs, inputs):
     """A model with the units of its outputs so many times smaller, and of its inputs."""
-    names = {"inputs": P.input_labels, "outputs": P.output_labels}
-    B, D = P.B / inputs, outputs[:, None] * P.D / inputs
-    return control.ss(P.A, B, outputs[:, None] * P.C, D, P.dt, **names)
+    model = np.diag(outputs) * P * np.diag(1 / inputs)
+    model.update_names(inputs=P.input_labels, outputs=P.output_labels)
+    return model
 
 
 def error(rng, kind, P, omega, radius):
@@ -101,11 +101,7 @@ def error(rng, kind, P, omega, radius):
     else:
         u, v = rng.normal(size=(p, 1)), rng.normal(size=(1, m))
         size, angle = rng.uniform(0.3, 0.97), rng.choice([0.0, rng.uniform(0.05, 1.5)])
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         B, C = np.vstack([v, 0 * v]), np.hstack([u, 0 * u])
-        Delta = control.ss(size * turn, B, C, rng.choice([0.0, 1.0]) * u @ v, 1.0)
+        Delta = control.ss(size * turn(angle), B, C, rng.choice([0.0, 1.0]) * u @ v, 1.0)
     gain = np.linalg.norm(frequency_response(Delta, omega), 2, axis=(1, 2))
-    sign = rng.choice([-1.0, 1.0])
-    B, D = Delta.B, Delta.D
-    factor = sign * np.min(radius / np.maximum(gain, 1e-300))
-    return control.ss(Delta.A, factor * B, Delta.C, factor * D, P.dt)
+    return rng.choice([-1.0, 1.0]) * np.min(radius / gain) * Delta

@@ -29,6 +29,7 @@ and rho(t) is zero before d begins.
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
@@ -64,11 +65,8 @@ class ErrorBound:
         c, k = np.fft.irfft(self._above_radius(), M), np.arange(M)
         folded = sum(tau(lag) * np.sinc(lag / M) ** 2 for lag in (k, k - M))
         rt = rfft(c * folded).real  # (2)
-        twice = np.full(len(rt), 2.0)
-        twice[0] = 1
-        if M % 2 == 0:
-            twice[-1] = 1
-        return twice * rt / M
+        same = np.bincount(np.minimum(k, M - k))  # number of the M frequencies with this size of D
+        return same * rt / M
 
     def _above_radius(self):
         """Compute values at the M points such that lines between them are nowhere below r."""
@@ -81,8 +79,7 @@ class ErrorBound:
 
     def of(self, d) -> float:
         """Compute rho(d) by (1) for a signal (time, m)."""
-        D = rfft(d, self.padded, axis=0)
-        return float(self.weights @ np.sqrt(np.sum(np.abs(D) ** 2, axis=1)))
+        return self.weights @ np.linalg.norm(rfft(d, self.padded, axis=0), axis=1)
 
     def over_time(self, d) -> np.ndarray:
         """Compute rho(t) by (3) at each sample of a signal (samples, m)."""
@@ -91,7 +88,7 @@ class ErrorBound:
             return rho
         begin, least = moving[0], np.inf
         ends = np.unique(np.linspace(begin, len(d), BLOCKS + 1).round().astype(int))
-        for start, end in zip(ends[-2::-1], ends[:0:-1], strict=True):
+        for start, end in reversed([*pairwise(ends)]):
             least = min(least, self.of(d[:end]))
             rho[start:end] = least
         return rho

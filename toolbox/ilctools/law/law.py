@@ -11,13 +11,14 @@ import numpy as np
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_learning
 from ilctools.law.limits import (
+    UNLIMITED,
     Actuators,
     LimitsOf,
     check_solver,
     command_model,
     commands_after,
+    named_limits,
     projected,
-    stated_limits,
 )
 from ilctools.law.nearest import Norm
 from ilctools.law.output_limits import OutputLimits
@@ -111,34 +112,36 @@ class Law:
             check_learning(self.L)
         if self.loop is not None:
             arguments.instance("loop", self.loop, Loop)
+            self._refuse_outputs()
         check_match(Q=self.Q, L=self.L, law=self.labels, loop=self.loop)
         vars(self).update(
             rest=arguments.whole("rest", self.rest, 0),
             gain=arguments.number("gain", self.gain, "in (0, 1]", 0, most=1),
         )
-        commands = getattr(self.loop, "commands", None)
-        self._refuse_outputs(commands)
-        vars(self)["limits"] = stated_limits(self.limits, commands)
+        limits = LimitsOf.RIG
+        if not isinstance(self.limits, LimitsOf | None):
+            limits = named_limits("limits", self.limits, getattr(self.loop, "commands", None))
+        vars(self)["limits"] = limits
 
-    def _refuse_outputs(self, commands):
+    def _refuse_outputs(self):
         """Refuse limits of outputs that are not from a design, or that are for another loop."""
-        kept = self.output_limits
-        if commands is None:
-            return
+        kept, outputs = self.output_limits, [*self.loop.outputs]
         names = self.limits if isinstance(self.limits, dict) else ()
-        if outputs := [n for n in names if n in self.loop.outputs and n not in commands]:
-            raise ValueError(
-                f"limits[{outputs[0]!r}] is a limit of an output, which only the law of a "
-                "design can keep, because it takes a plant and its radius: make the law by "
-                "synthesise(...).law(limits=...)"
-            )
-        if kept is not None:
-            arguments.instance("output_limits", kept, OutputLimits)
-            if kept.region.outputs != [*self.loop.outputs]:
+        for name in names:
+            if name in outputs and name not in self.loop.commands:
                 raise ValueError(
-                    f"limits of outputs are for a plant with the outputs {kept.region.outputs}, "
-                    f"but the loop has {[*self.loop.outputs]}"
+                    f"limits[{name!r}] is a limit of an output, which only the law of a "
+                    "design can keep, because it takes a plant and its radius: make the law by "
+                    "synthesise(...).law(limits=...)"
                 )
+        if kept is None:
+            return
+        arguments.instance("output_limits", kept, OutputLimits)
+        if kept.region.outputs != outputs:
+            raise ValueError(
+                f"limits of outputs are for a plant with the outputs {kept.region.outputs}, "
+                f"but the loop has {outputs}"
+            )
 
     @property
     def Ts(self) -> float:
@@ -296,7 +299,7 @@ class Law:
         arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
         v, applied = self.applied(v, u, applied)
         y = y if y is None else arguments.in_columns("y", y, e.shape, of_e)
-        references = _two_references(references, e, y, of_e)
+        references = _two_references(references, e if y is None else e + y, of_e)
         target = self.unlimited(v, e)
         following, _ = self.within_limits(target, v, applied, y, references, past)
         return arguments.labelled_as(labelled, following, names)
@@ -306,12 +309,15 @@ class Law:
 
         All arrays have the shape (..., time, channel).
         """
-        following = self._learned(v, e)
+        a = self.gain
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
+            learned = _finite(v + self.L.apply(e))
+            following = _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
         following[..., v.shape[-2] - self.rest :, :] = 0
         return following
 
     def within_limits(
-        self, target, v, applied, y=None, references=None, past=()
+        self, target, v, applied, y, references, past=()
     ) -> tuple[np.ndarray, Step | None]:
         """Bring a target for the next v within the limits.
 
@@ -319,17 +325,21 @@ class Law:
         have no limits, or if the law goes back to a share of the last w. The arguments `v` and
         `applied` are the results of :meth:`applied`. The other arguments are as for :meth:`next`.
         """
-        now, after = references or (np.zeros((*v.shape[:-1], self.columns)),) * 2
-        moved = after - now
         if self.actuators is not None:
-            commands = commands_after(self.loop, applied, target - v, moved)
-            norm = Norm.of(self.L)
-            target = projected(self.loop, self.actuators, v, target, commands, norm, self.rest)
+            commands = self._commands_after(target - v, applied, references)
+            target = projected(
+                self.loop, self.actuators, target, commands, Norm.of(self.L), self.rest
+            )
         if self.output_limits is None:
             return target, None
-        return self._keeping_outputs(target, v, applied, y, now, moved, past)
+        return self._keeping_outputs(target, v, applied, y, references, past)
 
-    def _keeping_outputs(self, target, v, applied, y, reference, moved, past):
+    def _commands_after(self, change, applied, references):
+        """Predict the commands of the next trial, in which v differs by `change`."""
+        now, after = references
+        return commands_after(self.loop, applied, change, after - now)
+
+    def _keeping_outputs(self, target, v, applied, y, references, past):
         """Change v such that the outputs keep their limits, as a part of :meth:`within_limits`."""
         if self.loop is None:
             raise ValueError(
@@ -340,30 +350,33 @@ class Law:
             raise ValueError(
                 "y = None, but with limits of outputs the outputs of the trial are needed: pass y"
             )
-        added, kept = self.loop.one_for_one, self.output_limits
-        now = Done(v + reference if added else v, y)
-        wanted = target - v + (moved if added else 0)
-        done = [self._done(part) for part in past[-PAST:]]
         commands, active = None, len(v) - self.rest
         if self.actuators is not None:
-            u = commands_after(self.loop, applied, target - v, moved)[:active]
-            commands = Commands(command_model(self.loop), self.actuators.room(u))
-        step = kept.step(wanted, now, done, Norm.of(self.L), active, commands)
+            u = self._commands_after(target - v, applied, references)
+            low, high = self.actuators.room(u)
+            low[active:], high[active:] = UNLIMITED  # in the rest, limits do not count
+            commands = Commands(command_model(self.loop), (low, high))
+        # the part of w that drives P is v plus the reference, or v alone
+        now, after = references if self.loop.one_for_one else np.zeros((2, *v.shape))
+        w, moved = v + now, after - now
+        step = self.output_limits.step(
+            target - v + moved, Done(w, y), [*map(self._done, past[-PAST:])],
+            Norm.of(self.L), active, commands,
+        )  # fmt: skip
         if step is None:
-            return self._back(v, reference, y, moved), None
-        return v + step.change - (moved if added else 0), step
+            return now[0] + self._share_back(y) * (w - now[0]) - after, None
+        return v + step.change - moved, step
 
     def _done(self, part):
         """Return the outputs of a trial, and the part of the signal that really drove P."""
-        v, reference, y = (np.asarray(part[name], float) for name in ("v", "reference", "y"))
-        u = self.loop.asked(part)
-        v, _ = self.applied(v, u, part.get("applied"))
-        return Done(v + reference if self.loop.one_for_one else v, y)
+        part = part | {name: np.asarray(part[name], float) for name in ("v", "reference", "y")}
+        v = self.applied_v(part)
+        return Done(v + part["reference"] if self.loop.one_for_one else v, part["y"])
 
-    def _back(self, v, reference, y, moved):
-        """Compute v after a trial in which an output exceeded a limit.
+    def _share_back(self, y):
+        """Compute the share of the last w to take after a trial that exceeded a limit.
 
-        The next w is a share of the last w. With this share, the limits would have held.
+        With this share, the limits would have held.
         """
         kept = self.output_limits
         if not self.loop.one_for_one and self.loop.references:
@@ -373,18 +386,7 @@ class Law:
                 f"cannot bring it back, because {name} also follows a reference: take a "
                 "smaller reference"
             )
-        share = kept.safe_share(y)
-        if not self.loop.one_for_one:
-            return share * v
-        w = reference[0] + share * (reference + v - reference[0])
-        return w - (reference + moved)
-
-    def _learned(self, v, e):
-        """Compute the next v by equation (23) of the paper, without rest and limits."""
-        a = self.gain
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused
-            learned = _finite(v + self.L.apply(e))
-            return _finite((1 - a) * v + a * self.Q.apply(learned))  # (23)
+        return kept.safe_share(y)
 
     def _names(self, signal, known, count):
         """Return the names of the channels of v or e.
@@ -421,20 +423,26 @@ class Law:
             applied = arguments.in_columns("applied", applied, shape, commands)
         return self.loop.realised(v, u, applied), applied
 
+    def applied_v(self, signals) -> np.ndarray:
+        """Return the part of v that was applied in a trial, (time, m), from its signals by name."""
+        u = None if self.loop is None else self.loop.asked(signals)
+        v, _ = self.applied(signals["v"], u, signals.get("applied"))
+        return v
 
-def _two_references(references, e, y, names):
+
+def _two_references(references, reference, names):
     """Return the references of the last trial and of the next trial.
 
-    If the references are not known, return None.
+    If the references are not known, `reference` is the reference of both trials.
     """
     if references is None:
-        return None if y is None else (e + y, e + y)
+        return reference, reference
     if not isinstance(references, list | tuple) or len(references) != 2:
         raise ValueError(
             f"references = {reprlib.repr(references)} must be two references: one of the "
             "trial, and one of the next trial"
         )
-    return [arguments.in_columns("references", r, e.shape, names) for r in references]
+    return [arguments.in_columns("references", r, reference.shape, names) for r in references]
 
 
 def _finite(signal):

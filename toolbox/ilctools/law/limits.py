@@ -37,13 +37,6 @@ class LimitsOf(Enum):
         return "the rig's"
 
 
-def stated_limits(limits, names: Sequence[str] | None):
-    """Check the limits of a law: a dict, {} for no limits, or None for the limits of the rig."""
-    if limits is None or limits is LimitsOf.RIG:
-        return LimitsOf.RIG
-    return named_limits("limits", limits, names)
-
-
 def named_limits(name: str, limits, names: Sequence[str] | None) -> dict[str, tuple[float, float]]:
     """Check limits (low, high) by name.
 
@@ -150,23 +143,21 @@ def commands_after(loop: Loop, applied, change, reference_change) -> np.ndarray:
 
 
 def projected(
-    loop: Loop, actuators: Actuators, v, target, commands, norm: Norm, rest: int
+    loop: Loop, actuators: Actuators, target, commands, norm: Norm, rest: int
 ) -> np.ndarray:
     """Find the v nearest to `target` among all v whose commands are within the limits.
 
     The array `commands` holds the commands that `target` asks for, (time, commands). The module
-    :mod:`.nearest` solves the program. If the loop has no P, the commands are clipped instead.
+    :mod:`.nearest` solves the program. If the loop has no P, the commands are clipped instead. In
+    the rest, `target` is zero and stays zero.
     """
-    active, applicable = len(v) - rest, np.zeros_like(v)
-    if loop.P_v is None:
-        followed = actuators.follow(commands)
-        applicable[:active] = loop.realised(target, commands, followed)[:active]
-        return applicable
+    samples, applicable = len(target), target.copy()
+    active = samples - rest
     u = commands[:active]
-    if actuators.can(u):
-        return target
-    beyond = np.abs(actuators.follow(u) - u).max()
-    rows = Rows(*loop.feedback(), *actuators.room(u))
-    change = nearest.nearest(loop.P_v, norm, len(v), active, [rows], beyond)
-    applicable[:active] = target[:active] + change
+    followed = actuators.follow(u)
+    if loop.P_v is None:
+        applicable[:active] = loop.realised(target[:active], u, followed)
+    elif not actuators.can(u):
+        rows, beyond = Rows(*loop.feedback(), *actuators.room(u)), np.abs(followed - u).max()
+        applicable[:active] += nearest.nearest(loop.P_v, norm, samples, active, rows, beyond)
     return applicable

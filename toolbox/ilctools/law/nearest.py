@@ -10,7 +10,6 @@ The weights `errors` and `weight` are those of :class:`Norm`. v is zero in the r
 samples of a trial. The program has one stage for each sample. PIQP solves the program.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import control
@@ -58,12 +57,7 @@ class NotFound(RuntimeError):
 
 
 def nearest(
-    P: control.StateSpace,
-    norm: Norm,
-    samples: int,
-    active: int,
-    limited: Sequence[Rows],
-    unit: float,
+    P: control.StateSpace, norm: Norm, samples: int, active: int, limited: Rows, unit: float
 ) -> np.ndarray:
     """Compute the change z of least cost that keeps the limits, shape (active, m).
 
@@ -71,10 +65,7 @@ def nearest(
     size of z. Limits of signals that z does not change are ignored.
     """
     cost, dynamics, matrix = _program(P, norm, samples, active, limited)
-    low, high = (
-        np.concatenate([getattr(rows, end).ravel() / unit for rows in limited])
-        for end in ("low", "high")
-    )
+    low, high = (end.ravel() / unit for end in (limited.low, limited.high))
     moved = np.diff(matrix.indptr) > 0  # rows that z moves; other commands may saturate
     bounded = moved & (np.isfinite(low) | np.isfinite(high))
 
@@ -99,16 +90,12 @@ def _program(P, norm, samples, active, limited):
     The unknowns are the states x in all samples, and then the changes z in the first `active` ones.
     """
     n, p, m = P.nstates, P.noutputs, P.ninputs
-    A, B, C = balanced(P, *(rows.K for rows in limited))  # without it, feasible programs may fail
+    A, B, C = balanced(P, limited.K)  # without it, feasible programs may fail
     moving = slice(samples * n + active * m)  # z is zero in the rest
     y = on_trial(samples, C[:p], P.D)[:, moving]
     dynamics = dynamics_on_trial(samples, A, B)[:, moving]
-    ends = np.cumsum([p, *(len(rows.K) for rows in limited)])
-    matrix = [
-        on_trial(samples, C[begin:end], rows.N)[: rows.low.size, moving]
-        for begin, end, rows in zip(ends, ends[1:], limited, strict=False)
-    ]
+    matrix = on_trial(samples, C[p:], limited.N)[: limited.low.size, moving]
     of_z = np.repeat([0.0, 1.0], [samples * n, active * m])
     of_y = np.broadcast_to(norm.errors, (samples, p)).ravel() / norm.change
     cost = y.T @ sparse.diags_array(of_y) @ y + sparse.diags_array(of_z)
-    return cost, dynamics, sparse.vstack(matrix).tocsr()
+    return cost, dynamics, matrix.tocsr()

@@ -76,9 +76,14 @@ def model_from(note):
     return control.ss(*values, inputs=note["inputs"], outputs=note["outputs"])
 
 
+def _fields_of(value):
+    """Return the fields of a dataclass by name; a model stays a model."""
+    return {part.name: getattr(value, part.name) for part in fields(value)}
+
+
 def loop_note(loop: CurrentTrialLoop | ClosedLoop) -> str:
     """Return the fields of a loop as JSON text."""
-    note = {part.name: getattr(loop, part.name) for part in fields(loop)}
+    note = _fields_of(loop)
     if isinstance(loop, ClosedLoop) and loop.one_for_one:  # as in notes before there was a choice
         del note["references"], note["learned"]
     return text_of(note)
@@ -125,7 +130,7 @@ def law_notes(law: Law, usual: dict = OF_FILE) -> dict:
     if L is None or isinstance(L, Filter):
         notes["L"] = L and _filter_note(L)
     if isinstance(L, NormOptimal):
-        notes["L"] = {part.name: getattr(L, part.name) for part in fields(L)}
+        notes["L"] = _fields_of(L)
     kept = law.output_limits and _limits_note(law.output_limits)
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits, "outputs": kept}
     return notes | {key: value for key, value in others.items() if value != usual[key]}
@@ -137,10 +142,7 @@ def _limits_note(kept):
         name: [None if np.all(np.isinf(end)) else end for end in ends]
         for name, ends in kept.limits.items()
     }
-    region = {part.name: getattr(kept.region, part.name) for part in fields(kept.region)}
-    region["models"] = [*region["models"]]  # each as a model, not as numbers
-    region["scale"] = [*kept.region.scale]
-    return {"limits": limits, "noise": kept.noise, "region": region}
+    return {"limits": limits, "noise": kept.noise, "region": _fields_of(kept.region)}
 
 
 def _limits_from(note):

@@ -3,7 +3,7 @@
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ilctools import arguments
 from ilctools.law.error_bound import ErrorBound
 from ilctools.law.nearest import Norm
 from ilctools.law.output_program import Commands, Program
-from ilctools.law.output_spread import PAST, Done, Plant, Room, Spread
+from ilctools.law.output_spread import Done, Plant, Room, Spread
 from ilctools.law.output_step import Step, longest_step, regained
 from ilctools.law.plant_region import PlantRegion
 
@@ -76,8 +76,9 @@ class OutputLimits:
         for i, name in enumerate(self.region.outputs):
             rest, n = reference[0, i], self.n[i]
             if not low[0, i] + 2 * n <= rest <= high[0, i] - 2 * n:
+                ends = ["changing" if np.ndim(end) else str(end) for end in self.limits[name]]
                 raise ValueError(
-                    f"limits[{name!r}] = {self._in_words(name)} leave no room at the start of "
+                    f"limits[{name!r}] = ({', '.join(ends)}) leave no room at the start of "
                     f"a trial, where the reference is {rest:.6g}"
                     + (f", and the noise is {n:.6g}" if n else "")
                 )
@@ -94,24 +95,23 @@ class OutputLimits:
         """Compute the most by which outputs (time, p) exceed their limits, (p,)."""
         return np.maximum(-self.distance(y), 0)
 
-    def room(self, y) -> Room:
-        """Compute the room of a trial with the outputs y, see (6) in :mod:`.output_step`."""
+    def room(self, y, noises: int) -> Room:
+        """Compute the room of outputs y (time, p), in units of `scale`.
+
+        The bound n is subtracted `noises` times, twice in (6) of :mod:`.output_step`.
+        """
         low, high = self.ends(len(y))
-        return Room(y - low - 2 * self.n, high - 2 * self.n - y)
+        scale, n = self.region.scale.y, noises * self.n
+        return Room((y - low - n) / scale, (high - n - y) / scale)
 
     def first_share(self, reference) -> float:
         """Compute the largest share of a reference (time, p) with which the limits hold.
 
         The limits hold for all plants of the region.
         """
-        scale = self.region.scale
-        w = (reference - reference[0]) / scale.v
-        room = self.room(np.broadcast_to(reference[0], reference.shape))
-        room = Room(*(side / scale.y + self.n / scale.y for side in room))  # noise counts once
-        return min(
-            room.share(plant.spread(w, Done(w, 0 * w), [], self.n)).min()
-            for plant in self.plants(len(w))
-        )
+        w = (reference - reference[0]) / self.region.scale.v
+        room = self.room(np.broadcast_to(reference[0], reference.shape), 1)
+        return min(room.share(plant.spread(w)).min() for plant in self.plants(len(w)))
 
     def safe_share(self, y) -> float:
         """Compute the share b of the last w with which the trial would have kept the limits.
@@ -120,21 +120,15 @@ class OutputLimits:
         share is correct for all linear plants. With the first sample y_0 of y, the condition at the
         upper limit is high - n >= y_0 + b (y + n - y_0).
         """
-        low, high = self.ends(len(y))
-        moves = y - y[0]
-        room = Room(y[0] - low - self.n, high - self.n - y[0])
-        return float(room.share(Spread(moves - self.n, moves + self.n)).min())
+        moves, n, scale = y - y[0], self.n, self.region.scale.y
+        spread = Spread((moves - n) / scale, (moves + n) / scale)
+        return float(self.room(np.broadcast_to(y[0], y.shape), 1).share(spread).min())
 
+    @lru_cache(maxsize=4)  # noqa: B019
     def plants(self, samples: int) -> list[Plant]:
         """Return all plants of the region, for trials of `samples` samples."""
-        if samples not in self._plants:
-            bounds = [ErrorBound(self.region.angles, r, samples) for r in self.region.radii]
-            self._plants[samples] = [*map(Plant, self.region.models, bounds)]
-        return self._plants[samples]
-
-    @cached_property
-    def _plants(self) -> dict[int, list[Plant]]:
-        return {}
+        bounds = [ErrorBound(self.region.angles, radius, samples) for radius in self.region.radii]
+        return [*map(Plant, self.region.models, bounds)]
 
     def step(
         self,
@@ -165,19 +159,16 @@ class OutputLimits:
         commands : Commands, optional
             Limits of commands, which hold for changes that programs find.
         """
-        scale, plants = self.region.scale, self.plants(len(wanted))
-        down, up = self.room(now.y)
-        room, noise = Room(down / scale.y, up / scale.y), self.n / scale.y
+        scale = self.region.scale
         if commands is not None:
             commands = commands.in_units(scale)
+        plants, room = self.plants(len(wanted)), self.room(now.y, 2)
         program = Program(plants, room, wanted / scale.v, norm, active, commands)
-        was_beyond = self.beyond(now.y).any()
-        past = self._comparable(past[-PAST:])
-        now, *past = (Done(w / scale.v, y / scale.y) for w, y in (now, *past))
-        if was_beyond:
-            change = regained(program, now, noise)
+        if self.beyond(now.y).any():
+            change = regained(program)
             return None if change is None else Step(change * scale.v, 0.0, 0, 0.0, 0.0)
-        step = longest_step(program, now, past, noise)
+        done = [Done(w / scale.v, y / scale.y) for w, y in (now, *self._comparable(past))]
+        step = longest_step(program, done[0], done[1:], self.n / scale.y)
         unit = scale.y[step.output]
         return step._replace(
             change=step.change * scale.v, room=step.room * unit, error=step.error * unit
@@ -191,14 +182,6 @@ class OutputLimits:
         """
         broken = [k for k, done in enumerate(past) if self.beyond(done.y).any()]
         return past[max(broken, default=0) :]
-
-    def _in_words(self, name):
-        """Return the limits of an output in words.
-
-        A limit that varies in time is called "changing".
-        """
-        low, high = ("changing" if np.ndim(end) else end for end in self.limits[name])
-        return f"({low}, {high})"
 
     @property
     def promise(self) -> str:
@@ -228,24 +211,20 @@ class OutputLimits:
         return "\n".join(lines)
 
     def _promise_of(self, name):
-        sides = [("below", self.limits[name][1], "-"), ("above", self.limits[name][0], "+")]
-        stated = [side for side in sides if np.any(np.isfinite(side[1]))]
-        n = self.noise.get(name, 0)
-        stays = " and ".join(f"{side} {_number(end)}" for side, end, _ in stated)
-        was = " and ".join(
-            f"{side} {_number(end)}" + (f" {sign} 2 n" if n else "") for side, end, sign in stated
-        )
+        low, high = self.limits[name]
+        stays, was = [], []
+        for side, end, margin in (("below", high, " - 2 n"), ("above", low, " + 2 n")):
+            if np.any(np.isfinite(end)):
+                words = "its limit at each sample" if np.ndim(end) else f"{end:.6g}"
+                stays.append(f"{side} {words}")
+                was.append(stays[-1] + (margin if self.noise.get(name, 0) else ""))
         return (
-            f"The measured {name} stays {stays} in every trial that follows a trial in which "
-            f"it was measured {was}"
+            f"The measured {name} stays {' and '.join(stays)} in every trial that follows a trial "
+            f"in which it was measured {' and '.join(was)}"
         )
 
     def __repr__(self):
         return self.promise
-
-
-def _number(end):
-    return "its limit at each sample" if np.ndim(end) else f"{end:.6g}"
 
 
 def _limit(name: str, ends) -> Limit:
@@ -273,8 +252,8 @@ def _limit(name: str, ends) -> Limit:
 
 def _end(name, end):
     """Check one end of limits: a number, or one number for each sample."""
-    end = np.asarray(end, dtype=float) if np.ndim(end) < 2 else end
-    if np.ndim(end) > 1 or np.isnan(end).any():
+    end = np.asarray(end, dtype=float)
+    if end.ndim > 1 or np.isnan(end).any():
         raise ValueError(
             f"{name} must hold None, a number, or one number for each sample, shape (time,)"
         )

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import control
 import numpy as np
-from scipy.linalg import block_diag
 
 from ilctools.law.nearest import Norm, Rows, nearest
 from ilctools.law.output_spread import Plant, Room, Spread
@@ -24,12 +23,12 @@ class Commands(NamedTuple):
     """Limits of commands, and the model from w, the signal that drives P, to the commands."""
 
     model: control.StateSpace  # from w to commands, in their own units
-    ends: tuple[np.ndarray, np.ndarray]  # low and high of their change, (active, commands)
+    # low and high of their change, (time, commands), infinite in the rest
+    ends: tuple[np.ndarray, np.ndarray]
 
     def in_units(self, scale: Scale) -> "Commands":
         """Return these limits with w in units of `scale`."""
-        P, S = self.model, np.diag(scale.v)
-        return self._replace(model=control.ss(P.A, P.B @ S, P.C, P.D @ S, P.dt))
+        return self._replace(model=self.model * np.diag(scale.v))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +56,17 @@ class Program:
         """
         least = [self.room.share(spread).min() for spread in spreads]
         some = np.union1d(0, np.argsort(least)[:MOST_PLANTS])  # the nominal plant defines the cost
-        asked = [(self.plants[k].model, _tightened(self.room, spreads[k], theta)) for k in some]
+        models = [self.plants[k].model for k in some]
+        ends = [_tightened(self.room, spreads[k], theta) for k in some]
         if self.commands is not None:
-            asked.append(self.commands)
-        P, rows = _beside(asked)
+            models.append(self.commands.model)
+            ends.append(self.commands.ends)
+        low, high = map(np.hstack, zip(*ends, strict=True))
+        # one model with the outputs of all; all models have the same input
+        P = control.append(*models) * np.tile(np.eye(models[0].ninputs), (len(models), 1))
+        rows, nominal = Rows(P.C, P.D, low, high), P[: models[0].noutputs, :]
         d, unit = self.wanted.copy(), np.abs(self.wanted).max()
-        d[: self.active] += nearest(P, self.norm, len(d), self.active, rows, unit)
+        d[: self.active] += nearest(nominal, self.norm, len(d), self.active, rows, unit)
         return d
 
 
@@ -70,16 +74,3 @@ def _tightened(room: Room, spread: Spread, theta: float) -> tuple[np.ndarray, np
     """Compute the range in which outputs may differ from those predicted for the law's change."""
     margin = theta * spread.radius
     return margin - room.down - spread.middle, room.up - margin - spread.middle
-
-
-def _beside(asked) -> tuple[control.StateSpace, list[Rows]]:
-    """Join models with the same input into one model.
-
-    Return the joined model with the outputs of the first model, and all limited rows.
-    """
-    models, ends = zip(*asked, strict=True)
-    A, C = block_diag(*(P.A for P in models)), block_diag(*(P.C for P in models))
-    B, D = np.vstack([P.B for P in models]), np.vstack([P.D for P in models])
-    rows = np.split(np.arange(len(C)), np.cumsum([P.noutputs for P in models])[:-1])
-    P = control.ss(A, B, C[rows[0]], D[rows[0]], models[0].dt)
-    return P, [Rows(C[at], D[at], *limits) for at, limits in zip(rows, ends, strict=True)]

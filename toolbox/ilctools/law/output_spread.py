@@ -57,8 +57,7 @@ class Room(NamedTuple):
         """Compute the share alpha of (6) for each sample and output."""
         share = np.ones(spread.most.shape)
         for room, need in ((self.up, spread.most), (self.down, -spread.least)):
-            limited = (need > 0) & np.isfinite(room)
-            of_need = np.divide(np.maximum(room, 0), need, out=np.ones(need.shape), where=limited)
+            of_need = np.divide(np.maximum(room, 0), need, out=np.ones(need.shape), where=need > 0)
             share = np.minimum(share, of_need)  # (6)
         return share
 
@@ -74,10 +73,10 @@ class Plant:
         """Compute the output P w from rest, shape (time, p)."""
         return from_rest(self.model, w)
 
-    def spread(self, d, now: Done, past: Sequence[Done], noise) -> Spread:
+    def spread(self, d, now: Done | None = None, past: Sequence[Done] = (), noise=0.0) -> Spread:
         """Compute the spread for a change d of w by (4), or by (5) where (5) is tighter.
 
-        `noise` is the n of these equations.
+        Only (5) needs the trials `now` and `past`, and the bound n, which is `noise`.
         """
         y, rho = self.output(d), self.bound.over_time(d)[:, None]
         least, most = y - rho, y + rho  # (4)
@@ -93,7 +92,7 @@ class Plant:
 
     def admits(self, done: Done, now: Done, noise) -> bool:
         """Whether a trial and the last one differ by no more than (4) allows."""
-        came, spread = done.y - now.y, self.spread(done.w - now.w, now, [], noise)
+        came, spread = done.y - now.y, self.spread(done.w - now.w)
         slack = 2 * noise + NEARLY_ZERO * np.abs(came).max()
         return bool(np.all(came >= spread.least - slack) and np.all(came <= spread.most + slack))
 

@@ -46,20 +46,20 @@ THETAS = (0.3, 1.0)  # shares of (4) or (5) by which the limits of programs are 
 BACK_THETAS = (1.2, 2.0)  # shares theta that are tried after a trial beyond a limit
 
 
-def regained(program: Program, now: Done, noise: np.ndarray) -> np.ndarray | None:
+def regained(program: Program) -> np.ndarray | None:
     """Find a change with which all limits hold for sure, after a trial that exceeded a limit.
 
     Returns None if no change is found. Earlier trials are not used, because the plant or a
     disturbance may have changed since then.
     """
     plants, room = program.plants, program.room
-    spreads = [plant.spread(program.wanted, now, [], noise) for plant in plants]
+    spreads = [plant.spread(program.wanted) for plant in plants]
     for theta in BACK_THETAS:
         try:
             d = program.change(spreads, theta)
         except NotFound:
             continue
-        sure = [plant.spread(d, now, [], noise) for plant in plants]
+        sure = [plant.spread(d) for plant in plants]
         if all(np.all(s.most <= room.up) and np.all(-s.least <= room.down) for s in sure):
             return d
     return None

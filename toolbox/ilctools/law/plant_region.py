@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import control
 import numpy as np
 
-from ilctools.models import frequency_response
+from ilctools.models import frequency_response, from_rest
 from ilctools.response.door import in_all_directions
 from ilctools.response.response import Response
 from ilctools.response.scale import Scale
@@ -50,8 +50,7 @@ class PlantRegion:
             )
         else:
             check_match(model=model, P=response.signals)
-            S, R = np.diag(scale.v), np.diag(1 / scale.y)
-            models = (control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt),)
+            models = (np.diag(1 / scale.y) * model * np.diag(scale.v),)
             omega = np.union1d(omega, np.linspace(0, np.pi / response.Ts, POINTS))
             P, radius = response.anywhere(0, omega)
             off = largest_singular_values(P - frequency_response(models[0], omega))
@@ -75,6 +74,10 @@ class PlantRegion:
         model, back = self.models[plant], self.scale.inverse.of_P
         radius = np.interp(omega * model.dt, self.angles, self.radii[plant])
         return frequency_response(model, omega) * back, radius * back.max()
+
+    def output(self, v) -> np.ndarray:
+        """Compute the output of the nominal plant from rest, (time, p), for v (time, m)."""
+        return from_rest(self.models[0], v / self.scale.v) * self.scale.y
 
     @property
     def exact(self) -> bool:

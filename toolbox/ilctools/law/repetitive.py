@@ -106,18 +106,13 @@ def memory(law: Law, period: int) -> float:
     return period + len(finite_response(law)) + max(0, -law.L.first)
 
 
-def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
-    """Compute v in the samples from start to stop, from v and e (time, m) of earlier samples."""
-    h = finite_response(law)
-    x = np.pad(v + law.L.apply(e), [(len(h) // 2, 0), (0, 0)])  # at rest before the first trial
-    before = slice(start - period, stop - period)
-    x = x[before.start : before.stop + len(h) - 1]
-    return (1 - law.gain) * v[before] + law.gain * oaconvolve(x, h[:, None], "valid", axes=0)
-
-
 def next_samples(law: Law, v, e, first) -> np.ndarray:
     """Compute the next samples of v, as many as v and e of all earlier samples determine."""
-    period, now = len(first), len(v)
+    period, now, a = len(first), len(v), law.gain
     if law.L is None or now < period:
         return first[now % period :]
-    return repeated(law, v, e, period, now, now + period - reach_ahead(law))
+    h = finite_response(law)
+    x = np.pad(v + law.L.apply(e), [(len(h) // 2, 0), (0, 0)])  # at rest before the first trial
+    begin, end = now - period, now - reach_ahead(law)  # a period before the next samples
+    x = x[begin : end + len(h) - 1]
+    return (1 - a) * v[begin:end] + a * oaconvolve(x, h[:, None], "valid", axes=0)

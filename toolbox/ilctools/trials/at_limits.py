@@ -4,8 +4,7 @@ import numpy as np
 import xarray as xr
 
 from ilctools.law.law import Law
-from ilctools.models import from_rest
-from ilctools.trials.learn import applied_v, next_step
+from ilctools.trials.learn import next_step
 from ilctools.trials.parts import parts_of
 
 STILL = 3  # learning stands still after so many successive trials,
@@ -44,13 +43,12 @@ def stands_still(trials: xr.Dataset, law: Law) -> str:
     alike = all(np.array_equal(part["reference"], parts[0]["reference"]) for part in parts)
     if kept is None or law.L is None or len(parts) <= STILL or not alike:
         return ""
-    v = [applied_v(law, part) for part in parts]
+    v = [*map(law.applied_v, parts)]
     for k, part in enumerate(parts[:-1]):
         e = part["reference"] - part["y"]
         wanted = law.unlimited(v[k], e) - v[k]
         made = np.sum((v[k + 1] - v[k]) * wanted) > LITTLE * np.sum(wanted**2)
-        P, scale = kept.region.models[0], kept.region.scale
-        after = e - from_rest(P, wanted / scale.v) * scale.y
+        after = e - kept.region.output(wanted)
         if made or np.linalg.norm(e) <= WORTH_IT * np.linalg.norm(after):
             return ""
     _, step = next_step(law, "law", parts[:-1])

@@ -42,7 +42,6 @@ from ilctools.models import frequency_response
 from ilctools.response.door import in_own_units, response_of
 from ilctools.signals import ASKED, TRIAL_AXES
 from ilctools.trials.at_limits import limits_not_kept, stands_still
-from ilctools.trials.learn import applied_v
 from ilctools.trials.parts import from_rest_to_rest, successions
 from ilctools.trials.rms import (
     SMALLEST_DIVISOR,
@@ -130,7 +129,7 @@ def forgetting(trials: xr.Dataset, law: Law) -> xr.Dataset:
     v, e = trials.v.values, np.nan_to_num(trials.e.values)
     forgotten, learned = v - law.Q.apply(v), law.Q.apply(law.L.apply(e))
     axes = trials.v.dims
-    return trials[["e", "reference"]].assign(forgotten=(axes, forgotten), learned=(axes, learned))
+    return trials.assign(forgotten=(axes, forgotten), learned=(axes, learned))
 
 
 def error_grows(trials: xr.Dataset) -> dict:
@@ -245,8 +244,8 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     learns. The signal `moves` is the response of P to w = r + v, from rest at the first value of w.
     If v is not added to references, `moves` is the response to v alone.
     """
-    parts = [*from_rest_to_rest(trials)]
-    v = np.array([applied_v(law, part) for part in parts])
+    parts = from_rest_to_rest(trials)
+    v = np.array([*map(law.applied_v, parts)])
     w = v + [part["reference"] for part in parts] if "input" not in trials.v.dims else v
     samples = v.shape[1]
     # transforms have twice the length of a trial, in which the impulse response has decayed
@@ -260,7 +259,7 @@ def predicted(trials: xr.Dataset, law: Law, P: Callable) -> xr.Dataset:
     effect, moves = through(response, v), through(response, w - w[:, :1])
     spread = through(radius[:, None, None] * np.eye(v.shape[2]), v)
     free = trials.e.values + effect
-    return trials[["e", "reference", "y"]].assign(
+    return trials.assign(
         effect=(TRIAL_AXES, effect),
         moves=(TRIAL_AXES, moves),
         kept=(TRIAL_AXES, free - law.Q.apply(free)),  # (1 - Q) e_free

@@ -10,9 +10,8 @@ from ilctools.law.law import Law
 from ilctools.law.output_step import Step
 from ilctools.law.repetitive import check_period, memory, next_samples
 from ilctools.loop.closed import Loop
-from ilctools.models import from_rest
 from ilctools.trials.points import asking, filled, one_mask
-from ilctools.trials.transfer import first_signal
+from ilctools.trials.transfer import fitted
 
 BETWEEN_TRIALS = ("law", "transfer")  # what computes v if the reference changes
 TRANSFER = BETWEEN_TRIALS[1]
@@ -47,10 +46,9 @@ def asked_of(
     first = law.first(reference.shape[1], v)
     if not arguments.flag("reset", reset):
         check_period(law, reference.shape[1])
-    one = np.array_equal(reference, np.broadcast_to(reference[0], reference.shape))
     check_between(between, loop, reset)
     if law.output_limits is not None:
-        _check_output_limits(law, reference, reset, one)
+        _check_output_limits(law, reference, reset)
     share = _first_share(law, reference[0], v, pilot)
     if share is not None:
         first = (share - 1) * (reference[0] - reference[0, 0])
@@ -86,7 +84,7 @@ def check_between(between: str, loop: Loop, reset: bool) -> None:
         )
 
 
-def _check_output_limits(law, reference, reset, one):
+def _check_output_limits(law, reference, reset):
     """Refuse arguments with which limits of outputs cannot be kept.
 
     This check is made before any trial.
@@ -96,13 +94,13 @@ def _check_output_limits(law, reference, reset, one):
             "reset = False, but limits of outputs need trials that start from "
             "rest: take reset=True, or leave these limits out"
         )
-    if not one and not law.loop.one_for_one:
+    if np.any(reference != reference[0]) and not law.loop.one_for_one:
         raise ValueError(
             "reference changes from trial to trial, and acts on the outputs through other "
             "inputs than v, for which no radius is known: use one reference, or leave out the "
             "limits of outputs"
         )
-    for r in reference[:1] if one else reference:
+    for r in reference:
         law.output_limits.check_rest(r)
 
 
@@ -164,11 +162,9 @@ def next_v(
         return first
     if reset:
         return next_step(law, between, parts, upcoming)[0]
-    if not law.known_limits:  # with limits, what was applied is computed from the first trial on
-        parts = _last(parts, memory(law, len(first)))
-    signals = joined(parts)
+    signals = joined(_last(parts, memory(law, len(first))))
     e = signals["reference"] - signals["y"]
-    return next_samples(law, applied_v(law, signals), e, first)
+    return next_samples(law, law.applied_v(signals), e, first)
 
 
 def next_step(
@@ -181,20 +177,21 @@ def next_step(
     *past, now = parts
     reference, y = now["reference"], now["y"]
     upcoming = reference if upcoming is None else upcoming[: len(reference)]
-    u = law.loop and law.loop.asked(now)
+    u = None if law.loop is None else law.loop.asked(now)
     v, applied = law.applied(now["v"], u, now.get("applied"))
     if law.L is None:
         return v, None
     if between == TRANSFER and not np.array_equal(upcoming, reference):
-        applied_to = np.array([applied_v(law, part) for part in parts])
+        applied_to = np.array([*map(law.applied_v, parts)])
         others = (np.array([part[name] for part in parts]) for name in ("y", "reference"))
-        target = first_signal(applied_to, *others, upcoming, law.loop.P_v)
+        target = fitted(applied_to, *others, upcoming, law.loop.P_v).v
         target[len(target) - law.rest :] = 0
     else:
         began = np.zeros_like(v) if past else _pilot(law, now)
         # The law learns as if trial 1 had had the whole reference, whatever the learning gain is:
         # the part of v that reduced the reference is not kept.
-        target = law.unlimited(v - began, reference - y + _effect(law, began))
+        effect = law.output_limits.region.output(began) if began.any() else 0.0
+        target = law.unlimited(v - began, reference - y + effect)
     return law.within_limits(target, v, applied, y, (reference, upcoming), past)
 
 
@@ -209,21 +206,6 @@ def _pilot(law, first):
     less = np.sum(v * rise) / np.sum(rise**2) * rise
     is_one = np.allclose(v, less, rtol=0, atol=ROUNDED_PILOT * np.abs(rise).max())
     return less if is_one else np.zeros_like(v)
-
-
-def _effect(law, v):
-    """Compute the response of the nominal plant to v."""
-    if not v.any():
-        return 0.0
-    region = law.output_limits.region
-    return from_rest(region.models[0], v / region.scale.v) * region.scale.y
-
-
-def applied_v(law: Law, signals: Part) -> np.ndarray:
-    """Return the part of v that was applied, shape (time, m)."""
-    u = law.loop and law.loop.asked(signals)
-    v, _ = law.applied(signals["v"], u, signals.get("applied"))
-    return v
 
 
 def _last(parts, samples):

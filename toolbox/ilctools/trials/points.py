@@ -19,32 +19,27 @@ def filled(reference):
     reference with numbers everywhere, and a mark. The mark is one where a number was given, and
     zero elsewhere. A reference without NaN is returned unchanged, with None as mark.
     """
-    values = np.array(reference, dtype=float) if _may_hold_numbers(reference) else np.zeros(0)
-    absent = np.isnan(values)
-    if not absent.any():
-        return reference, None
-    columns = values if values.ndim > 1 else values[:, None]
-    flat = np.moveaxis(columns, -2, -1).reshape(-1, columns.shape[-2])  # a row for each signal
-    time = np.arange(flat.shape[1])
-    for row in flat:
-        if np.isnan(row[0]):
-            raise ValueError(
-                "reference begins with NaN, but must state where each output is when a trial "
-                "begins: give its first sample a number"
-            )
-        there = ~np.isnan(row)
-        row[:] = np.interp(time, time[there], row[there])
-    shape = *columns.shape[:-2], columns.shape[-1], columns.shape[-2]
-    values = np.moveaxis(flat.reshape(shape), -1, -2).reshape(values.shape)
-    return _like(reference, values), _like(reference, (~absent).astype(float))
-
-
-def _may_hold_numbers(reference):
     try:
-        np.asarray(reference, dtype=float)
+        values = np.asarray(reference, dtype=float)
     except (TypeError, ValueError):  # the check of references refuses this with a message
-        return False
-    return np.ndim(reference) > 0
+        return reference, None
+    given = ~np.isnan(values)
+    if given.all() or values.ndim == 0:
+        return reference, None
+    time_axis = 0 if values.ndim == 1 else -2
+    if not given.take(0, time_axis).all():
+        raise ValueError(
+            "reference begins with NaN, but must state where each output is when a trial "
+            "begins: give its first sample a number"
+        )
+    lines = np.apply_along_axis(_between_points, time_axis, values)
+    return _like(reference, lines), _like(reference, given.astype(float))
+
+
+def _between_points(signal):
+    """Replace NaN in a signal (time,) by values on straight lines."""
+    time, given = np.arange(len(signal)), ~np.isnan(signal)
+    return np.interp(time, time[given], signal[given])
 
 
 def _like(labelled, values):

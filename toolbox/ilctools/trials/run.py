@@ -200,10 +200,8 @@ class _Simulated:
         if self.ours:
             model, estimated = whole_loop(loop, plant), len(loop.KL)
         else:  # its commands are w
-            P = loop.model(plant)
-            m = P.ninputs
-            C, D = np.vstack([P.C, np.zeros((m, P.nstates))]), np.vstack([P.D, np.eye(m)])
-            model = control.ss(P.A, P.B, C, D, P.dt)
+            P, one = loop.model(plant), np.eye(len(loop.inputs))
+            model = control.append(P, one) * np.vstack([one, one])
         self.model, n = model, model.nstates - estimated
         x = np.zeros(n) if initial_state is None else initial_state
         self.initial = np.append(arguments.array("initial_state", x, (n,)), np.zeros(estimated))

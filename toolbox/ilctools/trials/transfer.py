@@ -40,7 +40,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
-import control
 import numpy as np
 import xarray as xr
 from scipy.interpolate import make_interp_spline
@@ -153,10 +152,9 @@ def transfer(
     """
     v, y, references, outputs, period = _signals(trials)
     reference = arguments.in_columns("reference", reference, ("time", y.shape[2]), outputs)
-    result = _fitted(v, y, references, reference, _model(model, outputs, period))
-    for i, name in enumerate(outputs):
-        for text in _warnings(result, i, name):
-            warn(text)
+    result = fitted(v, y, references, reference, _model(model, outputs, period))
+    for text in _warnings(result, outputs):
+        warn(text)
     return result
 
 
@@ -196,16 +194,15 @@ def _signals(trials):
 
 def _model(model, outputs, period):
     """Check the model, and return P; return None if there is no model."""
+    if model is None:
+        return None
     if isinstance(model, Loop):
         if model.P_v is None or not model.one_for_one:
             raise ValueError(
                 "model is a loop without P, or a loop whose v is not added to references: "
                 "give P as a state-space model from references to outputs, or leave model out"
             )
-        check_match(trials=Signals(period), model=model)
-        return model.P_v
-    if model is None:
-        return None
+        model = model.P_v
     P = sampled_plant(model, "model")
     arguments.stable("model", P.poles())
     if (P.noutputs, P.ninputs) != (len(outputs), len(outputs)):
@@ -217,28 +214,18 @@ def _model(model, outputs, period):
     return P
 
 
-def first_signal(v, y, references, reference, model: Model | None = None) -> np.ndarray:
-    """Compute v for a new reference from the signals of trials and a model.
+def _inverted(signals, model, size):
+    """Apply M^+ of (5) to signals (..., time, m); without a model, return the signals.
 
-    The new reference has the shape (time, m). The signals have the shape (trial, time, m).
-    """
-    return _fitted(v, y, references, reference, model).v
-
-
-def _inverse(model, size, samples):
-    """Return a function that applies M^+ of (5) to a signal.
-
-    The signal has the shape (time, m) and is in units of `size`.
+    In M^+, each channel is in units of its `size`.
     """
     if model is None:
-        return lambda signal: signal
-    M = control.ss(
-        model.A, model.B * size, model.C / size[:, None], model.D * size / size[:, None], model.dt
-    )
+        return signals
+    M = np.diag(1 / size) * model * np.diag(size)
     omega = np.pi / model.dt * np.arange(1, 257) / 256
     gain = largest_singular_values(frequency_response(M, omega)).max()
-    least_squares = NormOptimal(M, (SMALLEST_GAIN * gain) ** 2, samples)
-    return lambda signal: least_squares.apply(signal / size) * size
+    least_squares = NormOptimal(M, (SMALLEST_GAIN * gain) ** 2, signals.shape[-2])
+    return least_squares.apply(signals / size) * size
 
 
 def _sizes(signals):
@@ -251,15 +238,14 @@ def _sizes(signals):
     return size
 
 
-def _fitted(v, y, references, reference, model):
+def fitted(v, y, references, reference, model: Model | None) -> Transfer:
     """Fit F and c to trials, and apply F and c to a new reference.
 
     The signals of trials have the shape (trial, time, m). The new reference has the shape
     (time, m).
     """
     _, samples, m = y.shape
-    inverse, new_inverse = (_inverse(model, _sizes(y), N) for N in (samples, len(reference)))
-    z, z_new = np.array([inverse(output) for output in y]), new_inverse(reference)
+    z, z_new = (_inverted(signals, model, _sizes(y)) for signals in (y, reference))
     size = _sizes(z)
     basis = _basis(max(1, samples // 2))
     known = model is not None
@@ -340,6 +326,7 @@ class _Fits:
         self.mean = columns.mean(axis=0)
         within = sum(map(_products, columns - self.mean))
         self.products = np.array([within, self.K * _products(self.mean)])  # the sums of (4)
+        self.power = np.diagonal(self.products, 0, 2, 3).sum(axis=1)[:, -self.m :]  # of targets
 
     def first_signal(self, new, f, rho):
         """Compute F r + c, with c of (3), for a new reference r.
@@ -394,8 +381,7 @@ class _Fits:
         Each block of time is predicted by a fit that left this block out.
         """
         without = self.solve(rho, static, coupling, weight)[1:]
-        no_F = np.zeros_like(without)
-        power = self.squares(no_F).sum(axis=0)
+        power = self.power.sum(axis=0)
         floor = ROUNDED_POWER * np.where(power > 0, power, 1.0)
         free = (static == 1) + (coupling == 1 and len(self.coupling) > 1)
         prior = self.K * np.log(PENALTY) * free
@@ -406,29 +392,29 @@ class _Fits:
 
         Both are computed from residuals in blocks of time that the fits left out.
         """
-        no_F = np.zeros_like(without)
-        missed, power = self.squares(without), self.squares(no_F)
-        rho = np.ones(self.m)
+        missed, rho = self.squares(without), np.ones(self.m)
         if self.K > 1:
             rho = np.minimum(
                 1.0, missed[0] / (self.K - 1) / np.maximum(missed[1], SMALLEST_DIVISOR)
             )
-        missed, power = (squares[0] + rho * squares[1] for squares in (missed, power))
+        missed, power = (squares[0] + rho * squares[1] for squares in (missed, self.power))
         return rho, 1 - np.divide(missed, power, out=np.zeros(self.m), where=power > 0)
 
 
-def _warnings(result, i, name):
-    """Warn if the first signal of output i is poorly predicted or uncertain."""
-    if result.predicted[i] < PREDICTED:
-        yield (
-            f"F predicts only {result.predicted[i]:.0%} of v + e for {name}: if another "
-            "disturbance came, an actuator saturated, or the plant was another one, leave "
-            "these trials out, by isel"
-        )
-    size, off = np.sqrt(np.mean(result.v[:, i] ** 2)), result.uncertainty[i]
-    if off > UNCERTAIN * size:
-        yield (
-            f"v for {name}, of RMS {size:.3g}, may be wrong by {off:.3g}, because the trials "
-            "do not distinguish the response to this reference from a repeating disturbance: "
-            "pass also the first trials, where v was different, or trials of another task"
-        )
+def _warnings(result, outputs):
+    """Yield a warning for each output whose first signal is poorly predicted or uncertain."""
+    sizes = np.sqrt(np.mean(result.v**2, axis=0))
+    each = zip(outputs, result.predicted, sizes, result.uncertainty, strict=True)
+    for name, predicted, size, off in each:
+        if predicted < PREDICTED:
+            yield (
+                f"F predicts only {predicted:.0%} of v + e for {name}: if another "
+                "disturbance came, an actuator saturated, or the plant was another one, leave "
+                "these trials out, by isel"
+            )
+        if off > UNCERTAIN * size:
+            yield (
+                f"v for {name}, of RMS {size:.3g}, may be wrong by {off:.3g}, because the trials "
+                "do not distinguish the response to this reference from a repeating disturbance: "
+                "pass also the first trials, where v was different, or trials of another task"
+            )

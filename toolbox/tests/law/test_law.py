@@ -94,14 +94,10 @@ def test_an_L_for_trials_of_another_length_is_refused_before_any_is_run():
     assert not rig.sent
 
 
-TALL = control.ss(0.5, [[1.0]], [[1.0], [2.0]], 0, 1.0)  # two outputs, one input
-WIDE = control.ss(0.5, [[1.0, 2.0]], [[1.0]], 0, 1.0)
-
-
-@pytest.mark.parametrize(("P", "numbers"), [(TALL, "1 rows and 2"), (WIDE, "2 rows and 1")])
-def test_an_L_for_other_numbers_of_channels_than_the_plant_has_is_refused(P, numbers):
-    L, plant = NormOptimal(P, 0.1, 30), control.append(lag(0.5), lag(0.8))
-    with pytest.raises(ValueError, match=f"L has {numbers} columns, but must have 2 rows"):
+def test_an_L_for_other_numbers_of_channels_than_the_plant_has_is_refused():
+    wide = control.ss(0.5, [[1.0, 2.0]], [[1.0]], 0, 1.0)
+    L, plant = NormOptimal(wide, 0.1, 30), control.append(lag(0.5), lag(0.8))
+    with pytest.raises(ValueError, match="L has 2 rows and 1 columns, but must have 2 rows"):
         convergence(plant, Q, L)
-    with pytest.raises(ValueError, match=r"L has . (outputs|learned inputs), but loop has 2"):
+    with pytest.raises(ValueError, match="L has 1 outputs, but loop has 2"):
         Law(Q, L, loop=ClosedLoop(plant))

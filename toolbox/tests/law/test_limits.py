@@ -1,4 +1,4 @@
-"""Learning within what the actuators follow, on a stage, three tanks and a furnace with a delay."""
+"""Learning within what the actuators follow, on a drive, three tanks and a furnace with a delay."""
 
 from dataclasses import replace
 
@@ -18,7 +18,6 @@ from ilctools import (
     run_trials,
     zero_phase_butterworth,
 )
-from ilctools.law.limits import LimitsOf
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 
@@ -37,7 +36,6 @@ ON_W = replace(
 DRIVE = control.ss([[0.98, 9e4], [-3.6e-7, 0.8]], [[0.02], [3.6e-7]], [[1, 0]], 0, 0.01)
 CASES = {
     "a state of 1e-7": case_of(ClosedLoop(DRIVE), 40.0, 200, [1.0], {"u[0]": (-0.01, 0.01)}),
-    "stage": case_of(LOOPS["stage"](), 300.0, 120, [2.0], {"F": (-2.0, 2.0)}),
     "tanks": TANKS,
     "furnace": case_of(LOOPS["furnace"](), 0.5, 100, [4.0], {"valve": (0.0, 1.2)}),
     "not ours": (ON_W, TANKS[1]),
@@ -149,13 +147,9 @@ def test_on_a_rig_its_limits_hold_where_the_law_states_none_and_never_for_none_a
     limits, expected
 ):
     law = replace(TANKS[0], limits=limits)
+    assert ("limits=the rig's" in repr(law)) == (limits is None)
     on_rig = law.on_rig(FOLLOWED)
     assert on_rig.limits == on_rig.known_limits == expected
     assert on_rig.on_rig(FOLLOWED).limits == expected
     assert law.on_rig({}).known_limits == law.known_limits == (limits or {})
     assert (law.actuators is None) == (not limits)
-
-
-def test_limits_that_are_left_to_a_rig_say_so():
-    law = replace(TANKS[0], limits=None)
-    assert replace(law, gain=0.5).limits is LimitsOf.RIG and "limits=the rig's" in repr(law)

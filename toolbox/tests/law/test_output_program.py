@@ -7,25 +7,22 @@ from plants import bump
 from ilctools.law.error_bound import ErrorBound
 from ilctools.law.nearest import Norm
 from ilctools.law.output_program import Commands, Program
-from ilctools.law.output_spread import Done, Plant, Room
+from ilctools.law.output_spread import Plant, Room
 from ilctools.models import from_rest
 from ilctools.response.scale import Scale
-
-REST = Done(np.zeros((60, 2)), np.zeros((60, 2)))
 
 
 @pytest.mark.parametrize("theta", [0.0, 1.0])
 def test_limits_of_each_plant_and_of_commands_are_kept_before_the_rest(theta):
-    P = plant(np.random.default_rng(1), 2, 2)
-    other = control.ss(P.A, 1.2 * P.B, P.C, P.D, 1.0)
+    P, wanted = plant(np.random.default_rng(1), 2, 2), bump(60, [1.0, 0.9])
     bound = ErrorBound(np.zeros(1), np.full(1, 0.02), 60)
-    plants = [Plant(P, bound), Plant(other, bound)]
+    plants = [Plant(model, bound) for model in (P, P * 1.2)]
     room = Room(np.full((60, 2), np.inf), np.full((60, 2), 0.7))
-    commands = Commands(control.ss([], [], [], 2 * np.eye(2), 1.0), (-9 * np.ones((50, 2)), 0.3))
-    commands = commands._replace(ends=(commands.ends[0], np.full((50, 2), 0.3)))
-    wanted = bump(60, [1.0, 0.9])
+    ends = np.full((2, 60, 2), np.inf) * [[[-1]], [[1]]]
+    ends[:, :50] = [[[-9.0]], [[0.3]]]  # none in the rest
+    commands = Commands(control.ss([], [], [], 2 * np.eye(2), 1.0), ends)
     program = Program(plants, room, wanted, Norm(0.01), 50, commands)
-    spreads = [each.spread(wanted, REST, [], 0.0) for each in plants]
+    spreads = [each.spread(wanted) for each in plants]
     d = program.change(spreads, theta)
     for each, spread in zip(plants, spreads, strict=True):
         assert np.all(from_rest(each.model, d) + theta * spread.radius <= 0.7 + 1e-6)

@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -93,8 +93,7 @@ def test_a_rig_that_never_rests_is_that_loop_and_its_log_replays(name, tmp_path)
     (r, d), rig = signals(loop), ModelRig(loop.plant)
     _, u, *_ = lines(run_trials(loop, law, r, trials=3, reset=False))
     high = 0.8 * np.abs(u).max(axis=0)
-    limits = zip(loop.controls, np.transpose([-high, high]), strict=True)
-    law = replace(law, limits=dict(limits))
+    law = replace(law, limits={n: (-h, h) for n, h in zip(loop.controls, high, strict=True)})
     with warnings.catch_warnings(action="ignore"):  # that commands are cut off
         log = record(rig, loop, law, r, trials=3, path=tmp_path / "log.csv", reset=False)
         again = replay(load_log(tmp_path / "log.csv"))
@@ -121,9 +120,8 @@ def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gai
     loop, law = law_for(name)
     law, trials, period = replace(law, gain=gain), 100, 400
     r, d = signals(loop, period)
-    start = {}
-    if gain < 1:  # from any start, with any first signal
-        start = {"initial_state": np.ones(len(loop.plant.A)), "v": 1 + r}
+    # from any start, with any first signal
+    start = {"initial_state": np.ones(len(loop.plant.A)), "v": 1 + r} if gain < 1 else {}
     e = run_trials(loop, law, r, d, trials, reset=False, **start).e.values
     free = run_trials(loop, Law(law.Q, None), r, d, 10, reset=False).e.values
     # at every harmonic, with Q = 1 at frequency zero
@@ -170,9 +168,8 @@ def test_a_period_that_is_too_short_and_what_has_no_meaning_are_refused():
         (replace(law, rest=5), 300, "rest = 5, but without reset"),
         (optimal, 300, "L = "),
     ):
-        for run in (run_trials, partial(record, ModelRig(loop.plant))):
-            with pytest.raises(ValueError, match=message):
-                run(loop, wrong, np.zeros((period, 3)), trials=2, reset=False)
+        with pytest.raises(ValueError, match=message):
+            run_trials(loop, wrong, np.zeros((period, 3)), reset=False)
     with pytest.raises(ValueError, match="reset = False, but pause = 3"):
         record(ModelRig(loop.plant), loop, law, np.zeros((300, 3)), pause=3, reset=False)
 
@@ -188,12 +185,13 @@ def test_an_experiment_with_resets_does_not_go_on_without_and_learning_does(tmp_
             begun.append(trial)
             self.x = 0 * self.x
 
-    path, given = tmp_path / "log.csv", {"reset": False, "path": tmp_path / "log.csv"}
-    record(Rig(loop.plant), loop, law, r, trials=2, **given)
+    task = {"rig": Rig(loop.plant), "loop": loop, "law": law, "reference": r}
+    task["path"] = tmp_path / "log.csv"
+    record(**task, trials=2, reset=False)
     with pytest.raises(ValueError, match="which differs in reset"):
-        record(Rig(loop.plant), loop, law, r, trials=3, path=path)
+        record(**task, trials=3)
     with warnings.catch_warnings(action="ignore"):  # a start is a disturbance
-        log = record(Rig(loop.plant), loop, law, r, trials=3, **given)
+        log = record(**task, trials=3, reset=False)
     assert begun == [1, 3]
     v, _, _, e = lines(log)
     assert_close(v, asked(law, v, e, 300)[: len(v)], 1e-7)

@@ -6,11 +6,12 @@ import pandas as pd
 import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
-from plants import as_matrix, bump, lag, lags, lifted, random_stable
+from plants import RestartingModel, altered, as_matrix, bump, lag, lags, lifted, random_stable
 
 from ilctools import (
     ClosedLoop,
     Law,
+    LearningFilter,
     NormOptimal,
     load_law,
     load_log,
@@ -19,7 +20,6 @@ from ilctools import (
     rms,
     run_trials,
     save_law,
-    synthesise,
     trial_norm,
     zero_phase_butterworth,
 )
@@ -75,31 +75,19 @@ def test_points_are_reached_and_the_rest_is_free(P):
 
 def test_a_rig_is_stopped_gone_on_with_and_replayed(tmp_path):
     P = control.ss(0.8, 0.3, 1, 0, 1.0, inputs=["w"], outputs=["x"])
-
-    class Rig:
-        inputs = ("w",)
-
-        def begin(self, trial):
-            self.x = 0.0
-
-        def read(self):
-            return [self.x]
-
-        def apply(self, w):
-            self.x = 0.8 * self.x + 0.25 * w[0]
-
+    rig = RestartingModel(altered(P, B=0.8))
     r, loop, path = points(60, 1, (20, 50)), ClosedLoop(P), tmp_path / "log.csv"
     law = Law(ALL, NormOptimal(P, 1e-3, 60))
-    whole = record(Rig(), loop, law, r, trials=4)
-    record(Rig(), loop, law, r, trials=2, path=path)
-    parts = record(Rig(), loop, law, r, trials=4, path=path)
+    whole = record(rig, loop, law, r, trials=4)
+    record(rig, loop, law, r, trials=2, path=path)
+    parts = record(rig, loop, law, r, trials=4, path=path)
     np.testing.assert_array_equal(parts.v, whole.v)
     read = load_log(path)
     np.testing.assert_array_equal(read.asked, whole.asked)
     assert_allclose(rms(read), rms(whole))
     assert "the recorded v agrees with the law in every trial" in str(replay(read))
     with pytest.raises(ValueError, match="another experiment, which differs in L, points"):
-        record(Rig(), loop, law, filled(r)[0], trials=5, path=path)
+        record(rig, loop, law, filled(r)[0], trials=5, path=path)
     save_law(tmp_path / "law.json", Law(ALL, NormOptimal(P, 1e-3, 60, errors=whole.asked)))
     v, e = whole.v[1].values, whole.e[1].values
     again = load_law(tmp_path / "law.json").next(v, e)
@@ -123,17 +111,14 @@ def test_labels_stay_and_numbers_stand_between_points():
 
 def test_what_points_need_is_said():
     P, r = lag(), points(40, 1, (20,))
-    loop, L = ClosedLoop(P), NormOptimal(P, 0.01, 40)
-    with pytest.raises(ValueError, match=r"NaN at 95% .* L = NormOptimal\(P, weight, samples\)"):
-        run_trials(loop, synthesise(P, zero_phase_butterworth(2, 0.3, 1.0)).law(), r)
-    late = r.copy()
-    late[0] = np.nan
-    with pytest.raises(ValueError, match="reference begins with NaN"):
-        run_trials(loop, Law(ALL, L), late)
-    other = np.array([r, bump(40, [1.0])])
-    with pytest.raises(ValueError, match="NaN at the same samples of all trials"):
-        run_trials(loop, Law(ALL, L), other, trials=2)
-    with pytest.raises(ValueError, match=r"errors range from 0 to 0, but"):
-        NormOptimal(P, 0.01, 40, np.zeros(40))
-    with pytest.raises(ValueError, match=r"errors has shape"):
-        NormOptimal(P, 0.01, 40, np.ones(41))
+    of_all, L = LearningFilter([[[0.5]]], 1.0), NormOptimal(P, 0.01, 40)
+    for operator, reference, message in (
+        (of_all, r, r"NaN at 95% .* L = NormOptimal\(P, weight, samples\)"),
+        (L, r[1:], "reference begins with NaN"),
+        (L, np.array([r, bump(40, [1.0])]), "NaN at the same samples of all trials"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            run_trials(ClosedLoop(P), Law(ALL, operator), reference, trials=2)
+    for errors, message in ((np.zeros(40), "errors range from 0 to 0"), ([1.0], "has shape")):
+        with pytest.raises(ValueError, match=message):
+            NormOptimal(P, 0.01, 40, errors)

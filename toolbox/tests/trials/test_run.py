@@ -47,10 +47,9 @@ def test_trials_are_those_of_the_law_and_the_loop_written_out(other, learning):
             v[55:] = 0
 
 
-@pytest.mark.parametrize("rest", [0, 15])
-def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, rest):
+def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q):
     """v_{k+1} - v_k follows T of the certificate, which knows nothing of trials."""
-    reference = np.random.default_rng(4).standard_normal((120, 2))
+    rest, reference = 15, np.random.default_rng(4).standard_normal((120, 2))
     v = run_trials(loop, Law(Q, L, rest=rest), reference, None, 5).v.values
     assert not v[:, 120 - rest :].any() and v[1:, 119 - rest].all()
     steps = np.diff(v.reshape(5, -1), axis=0)

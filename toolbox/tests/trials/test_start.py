@@ -12,12 +12,13 @@ from plants import ModelRig, boiler, bump
 from ilctools import Law, current_trial_loop, record, zero_phase_butterworth
 from ilctools.trials.start import Start
 
+LOOP = current_trial_loop(boiler(), boiler().input_labels[:2])
+LAW = Law(zero_phase_butterworth(2, 0.1, 0.5), None)
+
 
 def test_a_rig_is_waited_for_as_long_as_it_takes_and_no_longer():
     """Which the count of samples that one forgot to change is not."""
-    loop = current_trial_loop(boiler(), boiler().input_labels[:2])
-    law = Law(zero_phase_butterworth(2, 0.1, 0.5), None)
-    trials = loop, law, np.linspace(0, [1.0, 1.0], 40) ** 2, None, 2  # it ends warm
+    trials = LOOP, LAW, np.linspace(0, [1.0, 1.0], 40) ** 2, None, 2  # it ends warm
     device = ModelRig(boiler())
     log = record(device, *trials)  # without a warning
     assert 5 < len(device.sent) - 2 * 40 < 80
@@ -31,17 +32,16 @@ def test_a_rig_is_waited_for_as_long_as_it_takes_and_no_longer():
 
 def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
     """A leak that the controller does not know holds it: two trials, then it is said."""
-    loop = current_trial_loop(boiler(), boiler().input_labels[:2])
 
     class Leaking(ModelRig):
         def apply(self, commands):
             super().apply(commands)
             self.x += 0.5 * np.sin(len(self.sent) / 3)
 
-    device, law = Leaking(boiler()), Law(zero_phase_butterworth(2, 0.1, 0.5), None)
+    device = Leaking(boiler())
     with pytest.warns(UserWarning, match="before trial 2 .* after 80 samples"):
         warnings.filterwarnings("ignore", "after trial 2: this trial starts")
-        record(device, loop, law, bump(40, [1.0, 1.0]), trials=2)
+        record(device, LOOP, LAW, bump(40, [1.0, 1.0]), trials=2)
     assert len(device.sent) == 2 * 40 + 80
 
 

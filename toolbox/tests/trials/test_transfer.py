@@ -24,6 +24,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.law.notes import with_law
+from ilctools.models import from_rest
 from ilctools.trials.rms import rms
 from ilctools.trials.transfer import ROUNDED_POWER, _Fits
 
@@ -81,22 +82,17 @@ def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed)
 def test_one_task_distinguishes_a_repeating_disturbance_from_the_reference(repeats):
     P = coupled()[0]
     answered = repeats * steps(200, (0.3, 0.1, 0.2, 0.7), (0.2, 0.3, 0.1, -0.9))
-    loop = ClosedLoop(P)
-    v, trials = np.zeros((200, 2)), []  # w = r + v - what the disturbance takes away
-    for _ in range(6):
-        one = run_trials(loop, Law(Q, None), OLD - answered, trials=1, v=v)
-        trials.append(one.assign(reference=one.reference + answered, e=one.e + answered))
-        v = Q.apply(v + NormOptimal(P, 1e-2, 200).apply(trials[-1].e[0].values))
+    came = np.broadcast_to(from_rest(P, -answered), (6, 200, 2))
+    trials = trials_of(ClosedLoop(P), trials=6, noise=came)
     result = transfer(trials, NEW)
     np.testing.assert_allclose(result.compensation, answered, atol=0.05)
-    y = control.forced_response(P, inputs=(NEW + result.v - answered).T).outputs.T
-    assert np.abs(NEW - y).max() < 0.1
+    assert np.abs(NEW - from_rest(P, NEW + result.v - answered)).max() < 0.1
     np.testing.assert_allclose(result.v, result.feedforward + result.compensation)
-    alone = transfer(trials[-1], NEW)
+    alone = transfer(trials.isel(trial=[-1]), NEW)
     assert not alone.compensation.any()
     assert alone.uncertainty.min() > 0.5 * np.sqrt(np.mean(NEW**2))
     with pytest.warns(UserWarning, match="distinguish"):
-        transfer(trials[-1].isel(trial=0), -OLD)
+        transfer(trials.isel(trial=-1), -OLD)
 
 
 def test_the_uncertainty_is_of_the_size_of_the_error():
@@ -195,20 +191,23 @@ def test_what_a_fit_misses_below_rounding_makes_it_no_more_likely(seed):
     assert strong < min(faint) - 10  # which misses 1e-6 of the power, far above rounding
 
 
+def pulse(share):
+    """A move that takes a share of a trial of 150 samples."""
+    return np.sin(np.pi * np.clip((np.arange(150) / 150 - 0.1) / share, 0, 1)) ** 4
+
+
 @pytest.mark.parametrize("P", [lag(0.8), lags(), axes()])
 def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
     """The plant is 12 % stronger, and there is noise: from trial 2 on hardly more is left."""
-    Ts, p, samples = P.dt, P.noutputs, 150
-    rng, time = np.random.default_rng(0), np.arange(150) / 150
-    moves = [np.clip((time - 0.1) / rng.uniform(0.4, 0.8), 0, 1) for _ in range(8)]
-    r = np.array([np.outer(np.sin(np.pi * x) ** 4, rng.uniform(0.5, 1.5, p)) for x in moves])
-    names = {"inputs": P.input_labels, "outputs": P.output_labels}
-    loop, wrong = ClosedLoop(P), control.ss(P.A, 1.12 * P.B, P.C, P.D, Ts, **names)
-    law, noise = synthesise(P).law(rest=4), 1e-3 * rng.normal(size=(8, samples, p))
+    p, rng = P.noutputs, np.random.default_rng(0)
+    r = np.array(
+        [np.outer(pulse(rng.uniform(0.4, 0.8)), rng.uniform(0.5, 1.5, p)) for _ in range(5)]
+    )
+    loop, law, noise = ClosedLoop(P), synthesise(P).law(rest=4), 1e-3 * rng.normal(size=r.shape)
+    task = {"trials": 5, "plant": altered(P, B=1.12), "noise": noise}
     with warnings.catch_warnings(action="ignore"):
         kept, predicted = (
-            run_trials(loop, law, r, trials=8, plant=wrong, noise=noise, between=between)
-            for between in ("law", "transfer")
+            run_trials(loop, law, r, **task, between=between) for between in ("law", "transfer")
         )
         save_log(with_law(predicted, law.bound_to(loop)), tmp_path / "a.csv")
         replayed = replay(load_log(tmp_path / "a.csv"))
@@ -218,21 +217,14 @@ def test_between_trials_v_is_predicted_where_the_reference_changes(P, tmp_path):
     assert "the recorded v agrees with the law in every trial" in str(replayed)
 
 
-def with_gains(P, gains):
-    """The plant behind other gains of its inputs, (m, m)."""
-    names = {"inputs": P.input_labels, "outputs": P.output_labels}
-    return control.ss(P.A, P.B @ gains, P.C, P.D @ gains, P.dt, **names)
-
-
 @pytest.mark.parametrize("P", [lags(), axes()])
 @pytest.mark.parametrize("seed", range(3))
 def test_with_a_model_one_trial_says_more_and_a_wrong_model_does_no_harm(P, seed):
     """The plant has other gains, coupled ones among them; a new task of another length."""
-    rng, time = np.random.default_rng(seed), np.arange(150) / 150
-    shapes = [np.sin(np.pi * np.clip((time - 0.1) / x, 0, 1)) ** 4 for x in (0.5, 0.7, 0.6)]
-    old = np.array([np.outer(shapes[k], rng.uniform(0.5, 1.5, 2)) for k in (0, 1, 0)])
-    new = np.pad(np.outer(shapes[2], rng.uniform(0.5, 1.5, 2)), [(0, 30), (0, 0)])
-    plant = with_gains(P, np.eye(2) + 0.05 * rng.standard_normal((2, 2)))
+    rng = np.random.default_rng(seed)
+    *old, new = (np.outer(pulse(x), rng.uniform(0.5, 1.5, 2)) for x in (0.5, 0.7, 0.5, 0.6))
+    old, new = np.array(old), np.pad(new, [(0, 30), (0, 0)])
+    plant = P * (np.eye(2) + 0.05 * rng.standard_normal((2, 2)))
     loop, law = ClosedLoop(P), Law(zero_phase_butterworth(2, 1 / P.dt, P.dt), None)
 
     def left(trials, model):
@@ -242,7 +234,7 @@ def test_with_a_model_one_trial_says_more_and_a_wrong_model_does_no_harm(P, seed
 
     noise = 1e-4 * rng.standard_normal((3, 150, 2))
     assert left(1, loop) < 0.5 * left(1, None)
-    far_off = with_gains(P, np.array([[1.5, 0.3], [-0.3, 0.7]]))
+    far_off = P * np.array([[1.5, 0.3], [-0.3, 0.7]])
     assert left(3, far_off) < max(2 * left(3, None), 1e-3)
 
 
