@@ -17,6 +17,7 @@ import warnings
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
 
 import matplotlib
 import nbformat
@@ -45,26 +46,41 @@ OURS = ("ilctools", "rodlib", "<notebook>")
 NAN = re.compile(r"\bnan\b", re.IGNORECASE)
 
 
-def code_of(name):
-    """The sources of the code cells of a notebook."""
-    (path,) = ROOT.glob(f"notebooks/{name}*.ipynb")
-    cells = nbformat.read(path, as_version=4).cells
-    return [cell.source for cell in cells if cell.cell_type == "code"]
+def begun(name):
+    """A notebook after its imports and parameters: its names, and the sources of further cells."""
+    cells = nbformat.read(ROOT / f"notebooks/{name}.ipynb", as_version=4).cells
+    imports, chosen, *sources = (cell.source for cell in cells if cell.cell_type == "code")
+    names = {"display": print}
+    exec(f"{imports}\n{chosen}", names)
+    return names, sources
 
 
+def run_cell(source, names):
+    """Run a cell, and print the value of its last expression."""
+    tree = ast.parse(source)
+    if isinstance(last := tree.body[-1], ast.Expr):
+        last.value = ast.Call(ast.Name("print", ast.Load()), [last.value], [])
+    exec(compile(ast.fix_missing_locations(tree), "<notebook>", "exec"), names)
+
+
+def arguments_of_checked(source):
+    """The arguments of calls of `checked`, by name, each a list of expressions."""
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    calls = [call for call in calls if getattr(call.func, "id", "") == "checked"]
+    return {word.arg: word.value.elts for call in calls for word in call.keywords}
+
+
+@cache
 def ranges(name):
     """The parameters of a notebook that have a range: name, and (default, least, most)."""
-    imports, chosen, *sources = code_of(name)
-    names, found = {}, {}
     with matplotlib.rc_context():  # the imports choose the style of the figures
-        exec(f"{imports}\n{chosen}", names)
-    for call in ast.walk(ast.parse("\n".join(sources))):
-        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "checked":
-            for keyword in call.keywords:
-                _, *range_ = eval(ast.unparse(keyword.value), names)
-                if len(range_) == 3:
-                    found[keyword.arg] = range_
-    return found
+        names, sources = begun(name)
+    found = arguments_of_checked("\n".join(sources))
+    return {
+        parameter: [eval(ast.unparse(part), names) for part in range_]
+        for parameter, (_, *range_) in found.items()
+        if len(range_) == 3
+    }
 
 
 def drawn(name, number, seed):
@@ -99,26 +115,22 @@ def ended(name, parameters):
     os.chdir(ROOT / "notebooks")
     os.environ["RODLIB_RESULTS"] = tempfile.mkdtemp()
     matplotlib.use("agg")
-    imports, chosen, *sources = code_of(name)
-    names, said, begun = {"display": print}, io.StringIO(), time.process_time()
+    said, start = io.StringIO(), time.process_time()
     outcome, text, source = "ended", "", ""
     with warnings.catch_warnings(), redirect_stdout(said), redirect_stderr(said):
         warnings.simplefilter("default")  # as in a notebook
         try:
-            exec(f"{imports}\n{chosen}", names)
+            names, sources = begun(name)
             names |= parameters
             for source in sources:
-                tree = ast.parse(source)
-                if isinstance(last := tree.body[-1], ast.Expr):
-                    last.value = ast.Call(ast.Name("print", ast.Load()), [last.value], [])
-                exec(compile(ast.fix_missing_locations(tree), "<notebook>", "exec"), names)
+                run_cell(source, names)
         except Exception as error:
             outcome = "own error" if raised_by_us(error, source) else "raw error"
             text = f"{type(error).__name__}: {error}"
     if outcome == "ended" and NAN.search(said.getvalue()) and "nan means:" not in said.getvalue():
         line = next(line for line in said.getvalue().splitlines() if NAN.search(line))
         outcome, text = "nan", line.strip()
-    return outcome, " ".join(text.split())[:300], time.process_time() - begun
+    return outcome, " ".join(text.split())[:300], time.process_time() - start
 
 
 def judged(case):

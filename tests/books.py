@@ -1,4 +1,4 @@
-"""The notebooks and the ledger as they are tracked, each read once."""
+"""The notebooks, the ledger and the texts as they are tracked; the first two are read once."""
 
 import nbformat
 import pandas as pd
@@ -12,6 +12,11 @@ BOOKS = {
     for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
 }
 ROWS = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
+
+
+def text(path):
+    """What a file of the repository contains."""
+    return (ROOT / path).read_text(encoding="utf-8")
 
 
 def cells(name, kind="code"):

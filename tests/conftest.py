@@ -2,17 +2,17 @@
 
 import os
 
-import matplotlib.pyplot as plt
 import pytest
+from matplotlib import rcParams
 from repeatable import Q, omega  # noqa: F401
 
 
 @pytest.fixture(scope="module", autouse=True)
 def style_restored():
     """A file of tests that leaves the notebooks' style behind spoils the pictures of others."""
-    before = plt.rcParams["figure.figsize"]
+    before = rcParams["figure.figsize"]
     yield
-    assert plt.rcParams["figure.figsize"] == before
+    assert rcParams["figure.figsize"] == before
 
 
 @pytest.fixture

@@ -2,9 +2,10 @@
 
 import re
 
+from books import text
+
 import ilctools
 import rodlib
-from rodlib.paper.repository import ROOT
 
 OTHERS = {"MISMATCHED", "errors"}  # a rod, and a room
 DOORS = sorted({*ilctools.__all__, *rodlib.__all__} - OTHERS)
@@ -18,4 +19,4 @@ def door(name):
 
 def examples(path):
     """The Python of a document, in a list."""
-    return BLOCK.findall((ROOT / path).read_text("utf-8"))
+    return BLOCK.findall(text(path))

@@ -19,14 +19,13 @@ from copy import deepcopy
 from decimal import Decimal
 
 import pytest
-from books import BOOKS, ROWS
+from books import BOOKS, ROWS, text
 from nbformat import v4
 
 from rodlib.paper.ledger import DEVIATIONS
-from rodlib.paper.repository import ROOT
 
-PERFORMANCE = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
-ANSWERS = (ROOT / "docs" / "answers.md").read_text(encoding="utf-8")
+PERFORMANCE = text("figures/performance.md")
+ANSWERS = text("docs/answers.md")
 CONSTANTS = {  # that no cell prints, with the reason
     "02-feedback": {
         "45": "free numbers of a rotation in ten dimensions, 10 x 9 / 2",
@@ -120,10 +119,10 @@ def test_every_number_in_prose_is_computed_or_chosen(name):
 
 def paragraphs():
     """Of these texts, without tables, code and what is generated."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    readme = re.sub(r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL)
-    for text in (readme, ANSWERS, DEVIATIONS.read_text(encoding="utf-8")):
-        for paragraph in re.split(r"\n\n+|\n(?=- )", text):
+    ledger = r"<!-- ledger -->.*<!-- end of ledger -->"
+    readme = re.sub(ledger, "", text("README.md"), flags=re.DOTALL)
+    for document in (readme, ANSWERS, text(DEVIATIONS)):
+        for paragraph in re.split(r"\n\n+|\n(?=- )", document):
             if not paragraph.startswith(("```", "    ", "|")):
                 yield paragraph
 

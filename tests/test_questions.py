@@ -8,19 +8,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from books import text
+from documented import examples
 from scipy.io import loadmat, savemat
 
 from ilctools import measured_response, read_table, synthesise, zero_phase_butterworth
 from ilctools.errors import LogError
-from rodlib.paper import ROOT
 
-TEXT = (ROOT / "docs" / "questions.md").read_text(encoding="utf-8")
+TEXT = text("docs/questions.md")
 SIGNALS = {  # of the batches
     "reference": {"T": "set"},
     "outputs": {"T": "T"},
     "units": {"time": "min", "T": "K"},
 }
-BLOCKS = re.findall(r"^```python\n(.*?)^```$", TEXT, flags=re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def run(tmp_path_factory):
         patch.chdir(tmp_path_factory.mktemp("questions"))
         said = StringIO()
         patch.setattr("sys.stdout", said)
-        for block in BLOCKS:
+        for block in examples("docs/questions.md"):
             exec(block, names)
         plt.close("all")
     return said.getvalue(), names
@@ -89,12 +89,12 @@ def test_decimal_commas_decibels_and_degrees_become_P(names):
 
 def test_what_goes_wrong_with_a_table_reads_as_in_the_answer(names):
     assert "could not convert string to float: '0,159" in TEXT
-    text = "Hz;dB;degrees\n0,159;0,01;-3,2\n0,2;0,02;-4\n0,3;0,02;-5\n"
+    table = "Hz;dB;degrees\n0,159;0,01;-3,2\n0,2;0,02;-4\n0,3;0,02;-5\n"
     with pytest.raises(ValueError, match="could not convert string to float: '0,159'"):
-        pd.read_csv(StringIO(text), sep=";").to_numpy(dtype=float)
+        pd.read_csv(StringIO(table), sep=";").to_numpy(dtype=float)
     with pytest.raises(ValueError, match=r"not enough values to unpack \(expected 3, got 1\)"):
         _, _, _ = pd.read_csv(StringIO("Hz;dB;degrees\n1;0;-3\n")).to_numpy(dtype=str).T
-    commas = text.replace(";", ",").replace("-4", "-4,0").replace("-5", "-5,0")
+    commas = table.replace(";", ",").replace("-4", "-4,0").replace("-5", "-5,0")
     table = pd.read_csv(StringIO(commas))
     assert not table.index.equals(pd.RangeIndex(len(table)))  # what the block asserts
     measured = names["measured"]

@@ -5,14 +5,14 @@ import re
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from books import ROWS, code
+from books import ROWS, code, text
 from documented import examples
 
 from rodlib.paper.comparison import same_picture
 from rodlib.paper.ledger import COUNTED, DIFFERS, IN_WORDS, REPRODUCED, UNCHECKED
 from rodlib.paper.repository import ROOT
 
-README = (ROOT / "README.md").read_text("utf-8")
+README = text("README.md")
 (EXAMPLE,), (SNIPPET,) = examples("README.md"), examples("docs/guide.md")
 
 

@@ -9,14 +9,11 @@ import tomllib
 from itertools import chain
 
 import pytest
-from books import BOOKS, ROWS, SAVED, cells, code
+from books import BOOKS, ROWS, SAVED, cells, code, text
 
 import rodlib
 from rodlib.paper import ROOT, ledger, published
-
-
-def text(name):
-    return (ROOT / name).read_text(encoding="utf-8")
+from rodlib.paper.comparison import different_figures
 
 
 def test_readme_and_page_show_the_tracked_ledger():
@@ -73,9 +70,10 @@ def test_every_saved_figure_is_tracked_and_used():
         saved |= set(re.findall(SAVED, source))
         # nor does one read what another wrote
         assert not re.search(r"build/|figures/[a-z0-9]+\.|read_csv", source), name
-    png, pdf = ({p.stem for p in ROOT.glob(f"figures/*.{e}")} for e in ("png", "pdf"))
-    assert png == saved | {"workbench"}  # which tests/browser saw
-    assert pdf == saved
+    figures = ROOT / "figures"
+    assert {path.stem for path in figures.glob("*.png")} == saved | {"workbench"}
+    assert {*different_figures(figures, figures)} == {"workbench"}  # a picture of tests/browser
+    assert {path.stem for path in figures.glob("*.pdf")} == saved
 
 
 def test_links_lead_somewhere():
@@ -171,10 +169,8 @@ def test_make_does_not_obey_the_settings_of_python_and_jupyter_around_it():
 def test_the_toolbox_knows_nothing_of_the_rod():
     """Neither then does what its modules import; formats of files keep their names."""
     for path in (ROOT / "toolbox").rglob("*.py"):
-        text = re.sub(
-            r'"rodlib (?:trial log [234]|law [1234])"', "", path.read_text(encoding="utf-8")
-        )
-        assert "rodlib" not in text, path
+        formats = r"rodlib (?:trial log [234]|law [1234])\b"
+        assert "rodlib" not in re.sub(formats, "", text(path)), path
 
 
 def test_rooms_of_the_toolbox_import_from_those_above_them():
@@ -186,6 +182,6 @@ def test_rooms_of_the_toolbox_import_from_those_above_them():
     assert {*rooms} == within - {"py"}
     for path in package.rglob("*.py"):
         own = path.relative_to(package).parts[0].removesuffix(".py")
-        for name in re.findall(r"^ *from ilctools\.(\w+)", path.read_text("utf-8"), re.MULTILINE):
+        for name in re.findall(r"^ *from ilctools\.(\w+)", text(path), re.MULTILINE):
             above = own == "__init__" or rooms.index(name) <= rooms.index(own)
             assert above, f"{path} imports {name}"

@@ -4,12 +4,13 @@ import json
 import re
 
 import yaml
+from books import text
 
 from rodlib.paper import ROOT
 
-CODECHECK = yaml.safe_load((ROOT / "codecheck.yml").read_text(encoding="utf-8"))
-REVIEW = (ROOT / "docs" / "review.md").read_text(encoding="utf-8")
-_, HEAD, PAPER = (ROOT / "article" / "paper.md").read_text(encoding="utf-8").split("---\n", 2)
+CODECHECK = yaml.safe_load(text("codecheck.yml"))
+REVIEW = text("docs/review.md")
+_, HEAD, PAPER = text("article/paper.md").split("---\n", 2)
 ORCID = r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]"
 SECTIONS = [
     "Summary",
@@ -52,14 +53,14 @@ def test_the_paper_for_joss_has_its_sections_and_its_length():
     assert 750 <= len(re.findall(r"\b\w[\w'-]*", PAPER)) <= 1750
     head = yaml.safe_load(HEAD)
     assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= {*head}
-    bibliography = (ROOT / "article" / head["bibliography"]).read_text(encoding="utf-8")
+    bibliography = text(f"article/{head['bibliography']}")
     cited = {*re.findall(r"@(\w+)", PAPER)}
     assert cited and cited <= {*re.findall(r"^@\w+\{(\w+),", bibliography, re.MULTILINE)}
 
 
 def test_archive_and_citation_say_the_same():
-    archive = json.loads((ROOT / ".zenodo.json").read_text(encoding="utf-8"))
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    archive = json.loads(text(".zenodo.json"))
+    citation = yaml.safe_load(text("CITATION.cff"))
     for field in ("title", "version", "license", "keywords"):
         assert archive[field] == citation[field], field
     assert [c["name"] for c in archive["creators"]] == [a["name"] for a in citation["authors"]]

@@ -20,17 +20,14 @@ PYTEST = "-m pytest -q -rs -n 2 --dist loadfile --no-loadscope-reorder --nbval -
 
 def parts(build: Path, machine: bool) -> dict[str, list]:
     """Arguments of Python, by the name of what they run."""
-    notebooks = longest_first(ROOT)
-    tests = sorted((ROOT / "tests").glob("test_*.py"))
-    rooms = [ROOT / "tests" / room for room in ("on_the_rod", "paper")]
-    rooms.append(ROOT / "toolbox" / "tests")
     lint = {"lint": ["-m", "ruff", "check"], "format": ["-m", "ruff", "format", "--check"]}
     lint["tokens"] = [ROOT / "tools" / "rooms.py"]
     browser = ["-m", "pytest", "-q", "-rs", f"--junitxml={build / 'browser.xml'}"]
     lint["browser"] = [*browser, ROOT / "tests" / "browser"]
     report = f"--junitxml={build / 'report.xml'}"
+    tests = [*longest_first(ROOT), ROOT / "tests", ROOT / "toolbox" / "tests"]
     return ({} if machine else lint) | {
-        "tests": [*PYTEST.split(), report, *notebooks, *tests, *rooms],
+        "tests": [*PYTEST.split(), report, *tests],
         "figures and ledger": [ROOT / "tools" / "results.py", build],
     }
 

@@ -31,7 +31,7 @@ moves numbers by one unit of the last digit shown, the ledger does not change.
 """
 
 import json
-from operator import eq, ge, gt, le, lt
+from operator import eq, gt, le, lt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,7 +71,7 @@ COUNTED = {  # what could have differed, as the README says it
     "statement": "statements about the model and the design",
     "assumed": "statements about assumed signals or rigs",
 }
-COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
+COMPARE = {"<": lt, "<=": le, ">": gt, "==": eq}
 COLUMNS = [
     "key", "place", "claim", "printed", "computed", "tolerance", "deviation", "verdict", "kind",
     "note", "notebook", "cell",
@@ -327,8 +327,8 @@ def changed(build: Path, root: Path) -> list[str]:
     }
     drawn = build / "figures"
     different = different_figures(drawn, root / "figures")
-    files = [path for name in different for path in drawn.glob(f"{name}.*")]
-    names = sorted(f"figures/{path.name}" for path in files)
+    files = (path for name in different for path in sorted(drawn.glob(f"{name}.*")))
+    names = [f"figures/{path.name}" for path in files]
     for name, text in texts.items():
         write_whole(build / name, text)
         if text.encode() != (root / name).read_bytes():

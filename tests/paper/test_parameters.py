@@ -4,6 +4,7 @@ import ast
 
 import pytest
 from books import BOOKS, code
+from other_parameters import arguments_of_checked
 
 from rodlib.paper import checked
 
@@ -22,23 +23,17 @@ def test_values_in_their_range_come_back_and_others_than_the_texts_are_shown(mon
             checked(**{name: (value, 10, *((0.1, 1.0) if name == "M_max" else (2, 50)))})
 
 
-def ranges(source):
-    """The arguments of calls of `checked`, by name, each a list of expressions."""
-    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
-    calls = [call for call in calls if getattr(call.func, "id", "") == "checked"]
-    return {word.arg: word.value.elts for call in calls for word in call.keywords}
-
-
 @pytest.mark.parametrize("name", BOOKS)
 def test_each_parameter_of_a_notebook_is_checked_before_it_is_used(name):
     """By its own name and with the default that stands in the cell of the parameters."""
     _, choices, *others = code(name)
     defaults = {s.target.id: s.value for s in ast.parse(choices).body}
-    number, below = next((i, cell) for i, cell in enumerate(others) if ranges(cell))
+    number = next(i for i, cell in enumerate(others) if arguments_of_checked(cell))
+    found = arguments_of_checked(others[number])
     before = ast.walk(ast.parse("\n".join(others[:number])))
     assert not {node.id for node in before if isinstance(node, ast.Name)} & {*defaults}
-    assert [*ranges(below)] == [*defaults]
-    for parameter, (value, default, *ends) in ranges(below).items():
+    assert [*found] == [*defaults]
+    for parameter, (value, default, *ends) in found.items():
         assert value.id == parameter
         default = ast.literal_eval(default)
         assert default == ast.literal_eval(defaults[parameter]), parameter

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from books import ROWS
+from books import ROWS, text
 from rods import PRINTED
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import aslinearoperator, gmres
@@ -16,19 +16,17 @@ from ilctools import Law, rms, run_trials, synthesise, trial_map, trial_operator
 from rodlib import assumed_disturbance, assumed_reference, paper_choices
 from rodlib.paper import published
 from rodlib.paper.ledger import DIFFERS, IN_WORDS, REPRODUCED, verdict
-from rodlib.paper.repository import ROOT
 
-PAGE = (ROOT / "figures" / "performance.md").read_text("utf-8")
 LINK = r"\[`(\w+)`\]\(\.\./figures/ledger\.md#\1\)"
 LINE = re.compile(rf"^\| {LINK} \| .* \| (.*) \| (.*) \| (.*) \|$", re.M)
-FOUND = {key: cells for key, *cells in LINE.findall(PAGE)}
+FOUND = {key: cells for key, *cells in LINE.findall(text("figures/performance.md"))}
 ASSUMED = ROWS[ROWS.kind == "assumed"].set_index("key")
+JUDGED = {*ASSUMED.index[ASSUMED.verdict.isin([REPRODUCED, DIFFERS])]}
 
 
 def test_what_turns_is_in_words_that_have_the_range_and_all_else_is_judged():
-    judged = ASSUMED.index[ASSUMED.verdict.isin([REPRODUCED, DIFFERS])]
-    assert {*judged} == {key for key, (*_, turned) in FOUND.items() if turned == "never"}
-    for key in {*FOUND} - {*judged}:
+    assert {key for key, (*_, turned) in FOUND.items() if turned == "never"} == JUDGED
+    for key in {*FOUND} - JUDGED:
         assert ASSUMED.verdict[key] == IN_WORDS and FOUND[key][1] in ASSUMED.note[key], key
 
 
@@ -114,6 +112,6 @@ def test_verdicts_hold_for_other_signals(name, loop, Q, slow):
         "lemma_1": shrinking(loop, Q, reference),
     }
     numbers["error_law"], numbers["final_error"] = without_ends(loop, Q, reference, d[-1])
-    assert {*numbers} == {*ASSUMED.index[ASSUMED.verdict.isin([REPRODUCED, DIFFERS])]}
+    assert {*numbers} == JUDGED
     for key, number in numbers.items():
         assert verdict(published.claims()[key], number)[0] == ASSUMED.verdict[key], key

@@ -47,7 +47,7 @@ from scipy.linalg import block_diag
 
 from ilctools import arguments
 from ilctools.filters import WEIGHT_OF_CHANGE, Composition, LearningFilter
-from ilctools.models import balanced, frequency_response, minimal_realisation, sampled_plant
+from ilctools.models import balanced, frequency_response, minimal_realisation, stable_plant
 from ilctools.norm_optimal import NormOptimal, regularised_inverse
 from ilctools.pooled import CHANGES, Pooled, isometry, pooled
 from ilctools.singular_values import largest_singular_values
@@ -76,8 +76,7 @@ class RegularisedInverse:
     weight_of_change = WEIGHT_OF_CHANGE
 
     def __post_init__(self):
-        P = sampled_plant(self.P, "P")
-        arguments.stable("P", P.poles())
+        P = stable_plant(self.P, "P")
         scale = arguments.array("scale", self.scale, (P.ninputs,))
         E = np.eye(P.noutputs) if self.E is None else self.E
         E = arguments.array("E", E, (P.noutputs, "p"))
@@ -192,8 +191,7 @@ def extended(L, U, V):
         one = np.eye(first.rows)
         return _composed(L, extended(last, one, V), extended(first, U, one))
     if isinstance(L, RegularisedInverse):
-        P = control.ss(L.P.A, L.P.B @ V.T, L.P.C, L.P.D @ V.T, L.Ts)
-        return RegularisedInverse(P, L.b, np.ones(len(V)), L.E @ U.T, np.ones(len(U)))
+        return RegularisedInverse(L.P * V.T, L.b, np.ones(len(V)), L.E @ U.T, np.ones(len(U)))
     return replace(L, coefficients=np.einsum("vi,ijk,yj->vyk", V, L.coefficients, U))
 
 

@@ -119,11 +119,10 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     # Sample by sample: powers of A would need fewer steps, but their rounding grows with the size
     # of A, and a companion matrix is large. Powers gave errors of thousands for a stage at 2 kHz.
     x, A = np.vstack([x, forcing[:-1]]), np.asfortranarray(A)
-    if len(A):
-        for before, now in pairwise(x):
-            # now += A @ before, in place and without numpy's overhead: 1, the offsets and strides
-            # of both, no transpose, overwrite
-            dgemv(1.0, A, before, 1.0, now, 0, 1, 0, 1, 0, 1)
+    for before, now in pairwise(x):
+        # now += A @ before, in place and without numpy's overhead: 1, the offsets and strides of
+        # both, no transpose, overwrite
+        dgemv(1.0, A, before, 1.0, now, 0, 1, 0, 1, 0, 1)
     return x
 
 
@@ -346,6 +345,13 @@ def sampled_plant(plant: Model, name: str = "plant") -> control.StateSpace:
             f"{name} has the signals {names}, but each signal needs its own name: rename them"
         )
     return _realised(plant, name) if isinstance(plant, control.TransferFunction) else plant
+
+
+def stable_plant(plant: Model, name: str = "plant") -> control.StateSpace:
+    """Check that a plant is stable, and return it as a state-space model in discrete time."""
+    model = sampled_plant(plant, name)
+    arguments.stable(name, model.poles())
+    return model
 
 
 def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:

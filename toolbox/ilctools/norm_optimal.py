@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ilctools import arguments
-from ilctools.models import Model, balanced, frequency_response, sampled_plant
+from ilctools.models import Model, balanced, frequency_response, stable_plant
 from ilctools.riccati import TrialLeastSquares
 
 
@@ -76,8 +76,7 @@ class NormOptimal:
     errors: np.ndarray | None = None
 
     def __post_init__(self):
-        P = sampled_plant(self.P, "P")
-        arguments.stable("P", P.poles())
+        P = stable_plant(self.P, "P")
         weight = arguments.positive("weight", self.weight)
         samples = arguments.whole("samples", self.samples, 1)
         vars(self).update(P=P, weight=weight, samples=samples)

@@ -69,6 +69,11 @@ class Signals:
         learned = None if getattr(plant, "one_for_one", True) else plant.learned
         return cls(Ts, units=units, labels=_labels_of(plant), learned=learned)
 
+    def channels(self, p: int, m: int) -> tuple[list, list]:
+        """Return the labels of p outputs and m inputs, or their numbers if they have no labels."""
+        labels = self.labels or [*range(p), *range(m)]
+        return labels[:p], labels[p:]
+
 
 def period_of(trials) -> float:
     """Return the sampling period of trials, in seconds.

@@ -182,12 +182,12 @@ def complex_normal(rng, *shape):
 
 
 class ModelRig:
-    """A sampled model as a rig, noisy, with actuators reversed or at a limit."""
+    """A sampled model as a rig, noisy, with actuators reversed."""
 
-    def __init__(self, model, inputs=None, *, signs=1.0, limit=np.inf, noise=0.0, seed=0):
-        self.model, self.inputs = model, inputs or model.input_labels
-        self.signs, self.limit, self.noise = signs, limit, noise
-        self.random, self.x = np.random.default_rng(seed), np.zeros(model.nstates)
+    def __init__(self, model, inputs=None, *, signs=1.0, noise=0.0):
+        self.model, self.inputs, self.signs = model, inputs or model.input_labels, signs
+        self.random, self.noise = np.random.default_rng(0), noise
+        self.x = np.zeros(model.nstates)
         self.sent, self.ends = [], 0
 
     def read(self):
@@ -196,8 +196,7 @@ class ModelRig:
 
     def apply(self, commands):
         self.sent.append(np.array(commands))
-        effect = np.clip(self.signs * self.sent[-1], -self.limit, self.limit)
-        effect = dict(zip(self.inputs, effect, strict=True))
+        effect = dict(zip(self.inputs, self.signs * self.sent[-1], strict=True))
         u = np.array([effect.get(name, 0.0) for name in self.model.input_labels])
         self.x = self.model.A @ self.x + self.model.B @ u
 

@@ -1,4 +1,4 @@
-"""L = B K: B against its formula, the design against CVXPY and dense grids; trials: test_pooled."""
+"""L = B K: its peaks against dense grids, and trials; B against its formula: test_pooled."""
 
 from dataclasses import replace
 
@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from plants import STAGE_WITH_MODES as STAGE
-from plants import as_matrix, furnace, sigma_of_M
-from problems import statement
+from plants import as_matrix, furnace, lags, sigma_of_M
 
 from ilctools import (
     ClosedLoop,
@@ -23,15 +22,10 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.base import RegularisedInverse
+from ilctools.base import RegularisedInverse, extended, in_units
 from ilctools.evidence.peak import peak_of_L, peak_of_M
-from ilctools.problem.problem import K_MAX
 
 LOOP, Q = ClosedLoop(STAGE), zero_phase_butterworth(2, 150.0, 1e-3)
-COUPLED = control.ss(
-    [[0.9, 0.1, 0], [-0.1, 0.8, 0.1], [0, 0, 0.5]], [[0.1, 0], [0, 0.2], [0.3, 0.1]],
-    [[1, 0, 0.2], [0, 1, 0]], 0, 1.0,
-)  # fmt: skip
 
 
 def errors_of(L, reference, trials, **how):
@@ -53,7 +47,7 @@ def finite():
 
 @pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
 @pytest.mark.parametrize(("first", "order"), [(1, 4), (-3, 7), (-5, 2), (3, 2), (-80, 161)])
-def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, order, ends):
+def test_a_filter_is_a_sum_over_samples(first, order, ends):
     N, taps = 9, np.random.default_rng(1).standard_normal((2, 2, order))
     at = np.arange(N)[:, None] + first + np.arange(order)
     taken = np.eye(N)[np.clip(at, 0, N - 1)]
@@ -61,21 +55,7 @@ def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, o
     taken[at >= N] *= ends != "zero"
     dense = np.einsum("pkq,ijk->piqj", taken, taps).reshape(2 * N, 2 * N)
     L = LearningFilter(taps, 1.0, ends, first)
-    for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
-        assert_allclose(as_matrix(apply, N, 2), matrix, rtol=0, atol=1e-12)
-
-
-def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
-    omega = np.geomspace(1e-2, np.pi, 60)
-    low = zero_phase_butterworth(2, 0.5, 1.0)
-    design = synthesise(COUPLED, low, omega, order=7, base=0.2, L_max=None)
-    assert "order = 7 of K in L = B K" in repr(design)
-    problem = design.problem
-    through = problem.P @ problem.of_K
-    _, value = statement(
-        through, problem.Q, omega, 1.0, order=7, band=problem.objective.band, L_max=K_MAX
-    )
-    assert design.value == pytest.approx(value, rel=1e-5)
+    assert_allclose(as_matrix(L.apply, N, 2), dense, rtol=0, atol=1e-12)
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.3, 0.03]), st.booleans())
@@ -125,27 +105,25 @@ def test_K_does_not_leave_the_error_to_the_end_of_a_trial(with_base, finite):
     assert errors_of(L, reference, 4)[-1] < 0.9 * errors_of(zero, reference, 4)[-1]
 
 
-def test_of_a_list_L_is_the_quadratic_law_of_all_plants_and_keeps_its_bound():
-    plants, scale = [COUPLED, 1.2 * COUPLED], [1.0, 4.0]
-    omega, low = np.linspace(1e-2, np.pi, 400), zero_phase_butterworth(2, 0.3, 1.0)
-    P = np.array([frequency_response(one, omega) for one in plants])
-    design = synthesise(plants, low, omega, 1.0, scale=scale)
-    assert design.problem.order == 1 and design.sigma_L.max() <= design.problem.L_max * (1 + 1e-9)
-    units = np.divide.outer(1 / np.array(scale), 1 / np.array(scale))
-    P, b = P * units, 1 / (2 * design.problem.L_max)
-    adjoint = P.conj().swapaxes(2, 3)
-    L = np.linalg.solve((adjoint @ P).mean(axis=0) + b**2 * np.eye(2), adjoint.mean(axis=0))
-    found = design.filter.frequency_response(omega)
-    atol = 1e-9 * np.abs(L / units).max()
-    assert_allclose(found[omega < 0.3], (L / units)[omega < 0.3], rtol=0, atol=atol)
+RANDOM = np.random.default_rng(0)
+TAPS = LearningFilter(RANDOM.standard_normal((2, 2, 3)), 1.0)
+INVERSE = RegularisedInverse(lags(), 0.3, [1.0, 1.0])
+
+
+@pytest.mark.parametrize("L", [TAPS, INVERSE, INVERSE @ TAPS, TAPS @ INVERSE])
+def test_L_in_other_units_and_for_more_channels(L):
+    omega, of_v, of_y = [0.1, 1.0], np.array([2.0, 5.0]), np.array([3.0, 0.5])
+    inside, scaled = (each.frequency_response(omega) for each in (L, in_units(L, of_v, of_y)))
+    assert_allclose(scaled, of_v[:, None] * inside / of_y, rtol=1e-12)
+    U, V = np.linalg.qr(RANDOM.standard_normal((2, 3, 2)))[0]
+    assert_allclose(extended(L, U, V).frequency_response(omega), V @ inside @ U.T, atol=1e-12)
 
 
 def test_the_unit_of_y_decides_nothing():
     """Behind a delay of thirty samples, whose B has poles that rounding may hide."""
-    ours, *others = (synthesise(gain * furnace(30)).certificate for gain in (1.0, 1e-8, 1e6))
-    for theirs in others:
-        assert theirs.rate == pytest.approx(ours.rate, rel=1e-6)
-        assert theirs.settled_trial.norm == pytest.approx(ours.settled_trial.norm, rel=1e-6)
+    ours, theirs = (synthesise(gain * furnace(30)).certificate for gain in (1.0, 1e-8))
+    assert theirs.rate == pytest.approx(ours.rate, rel=1e-6)
+    assert theirs.settled_trial.norm == pytest.approx(ours.settled_trial.norm, rel=1e-6)
 
 
 def test_where_P_passes_nothing_the_rest_is_learned_and_print_says_where():

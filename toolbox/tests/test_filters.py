@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from plants import as_matrix
 
 from ilctools import LearningFilter, zero_phase_butterworth
@@ -13,7 +14,7 @@ def test_q_is_the_squared_magnitude_of_the_analytic_butterworth(order, cutoff, T
     warped = np.tan(omega * Ts / 2) / np.tan(cutoff * Ts / 2)
     Q = zero_phase_butterworth(order, cutoff, Ts)
     expected = 1 / (1 + warped ** (2 * order))
-    np.testing.assert_allclose(Q.frequency_response(omega), expected, atol=1e-9)
+    assert_allclose(Q.frequency_response(omega), expected, atol=1e-9)
     assert Q.frequency_response([cutoff])[0] == pytest.approx(0.5)
 
 
@@ -23,14 +24,14 @@ def test_q_on_a_trial_is_the_toeplitz_matrix_of_its_frequency_response(Q):
     grid[grid > np.pi] -= 2 * np.pi
     impulse = np.fft.ifft(Q.frequency_response(np.abs(grid))).real
     lags = np.abs(np.subtract.outer(np.arange(300), np.arange(300)))
-    np.testing.assert_allclose(matrix, impulse[lags], atol=1e-12)
+    assert_allclose(matrix, impulse[lags], atol=1e-12)
     assert np.linalg.norm(matrix, 2) <= 1
 
 
 def test_q_that_holds_the_ends_passes_a_constant():
     constant = np.full((40, 2), 3.0)
     Q = zero_phase_butterworth(2, 0.1, 1.0, ends="hold")
-    np.testing.assert_allclose(Q.apply(constant), constant, rtol=1e-12)
+    assert_allclose(Q.apply(constant), constant, rtol=1e-12)
 
 
 def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
@@ -39,12 +40,12 @@ def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
     begun = np.vstack([np.zeros((700, 2)), signal])
     hold = zero_phase_butterworth(2, 0.1, 1.0, ends="hold")
     expected = hold.apply(begun)[700:]
-    np.testing.assert_allclose(held, expected, rtol=0, atol=1e-12)
+    assert_allclose(held, expected, rtol=0, atol=1e-12)
 
 
 def test_q_at_z_is_the_same_inside_and_outside_the_circle(Q):
     z = np.full((2, 1), 0.9j)
-    np.testing.assert_allclose(Q(z), Q(1 / z), rtol=1e-9)
+    assert_allclose(Q(z), Q(1 / z), rtol=1e-9)
 
 
 def test_coefficients_cannot_be_changed_behind_the_filter():

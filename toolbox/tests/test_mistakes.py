@@ -51,7 +51,7 @@ LAW_OF_TWO = replace(LAW, L=LearningFilter(0.3 * np.eye(2)[:, :, None], 1.0))
 MOVE, ZERO = 2 * np.sin(np.linspace(0, np.pi, 60)) ** 2, np.zeros((5, 2))
 TWO = np.stack([MOVE, 3 * MOVE], axis=1)
 LOG = with_law(run_trials(CURRENT, LAW, MOVE, None, 4), LAW.bound_to(CURRENT))
-TABLE, CONTINUOUS = control.frd(P.T, OMEGA), control.ss(-1.0, 1, 1, 0)
+TABLE = control.frd(P.T, OMEGA)
 AXES, TURNED = ClosedLoop(axes(), units={"x": "m"}), axes()[["y", "x"], :]
 OF_AXES = synthesise(AXES, zero_phase_butterworth(2, 1.0, 0.1), order=3, L_max=None)
 SCIPY_MODEL = signal.dlti([[0.9]], [[0.1]], [[1]], [[0]], dt=1.0)
@@ -69,11 +69,6 @@ class Stuck(RestartingModel):
         return np.array([0.37])
 
 
-def labelled(*names):
-    """Two signals by name."""
-    return pd.DataFrame(TWO, columns=names)
-
-
 REFUSED = {  # what the error says, and a call
     # units, and what is exchanged
     "omega must be given: P is an array": lambda: convergence(P, Q, IN_MS),
@@ -85,11 +80,7 @@ REFUSED = {  # what the error says, and a call
     "P = Zero.*the plant comes first, as in synth": lambda: synthesise(Q, MODEL),
     "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
     # arrays and models of python-control
-    r"P.dt = 0 is continuous time: pass control.sample_system\(P, Ts\)": lambda: ClosedLoop(
-        CONTINUOUS, Ts=0.01
-    ),
     "P is a table .* synthesise takes the table": lambda: ClosedLoop(TABLE),
-    r"P has shape \(1, 1, 300": lambda: synthesise(TABLE.frdata, Q, OMEGA),
     r"signal has shape \(2, 30\), but must": lambda: IN_MS.apply(np.ones((2, 30))),
     "(?s:.*)as control.frd(?s:.*)log, omega, Ts": lambda: measured_response(TABLE.frdata),
     # numbers that no plant has
@@ -137,7 +128,6 @@ REFUSED = {  # what the error says, and a call
     "(?s:.*)L_max = 5": lambda: least_gain(MODEL, Q, L_max=5.0),
     "(?s:.*)the main obstacle is": lambda: synthesise([LAG, -LAG], M_max=0.4),  # B of both is zero
     # names, units, times
-    "reference .*T1.*y1": lambda: run_trials(PAPER, LAW_OF_TWO, labelled("T1", "T2")),
     "law.labels = .*, but loop.labels = .* in the same order": lambda: run_trials(
         ClosedLoop(TURNED), OF_AXES.law(), TWO
     ),
@@ -148,7 +138,6 @@ REFUSED = {  # what the error says, and a call
     "trials has times with steps from 0.5 to 0.5 s, but Ts is 1 s": lambda: transfer(
         LOG.assign_coords(time=0.5 * LOG.time), MOVE
     ),
-    "reference has times .* 0.5 s, but Ts is 1 s": lambda: run_trials(LOOP, LAW, HALF.x),
     # more outputs than inputs
     "base = None needs as many .* has 2 inputs and 1 outputs": lambda: synthesise(
         axes()[0, :], OF_AXES.Q, base=None
@@ -158,9 +147,6 @@ REFUSED = {  # what the error says, and a call
     ),
     r"scale = .* must be a dict by the names of outputs": lambda: synthesise(
         axes()[:, 0], OF_AXES.Q, scale=[1.0, 2.0]
-    ),
-    r"controls = \['set x'\] .*2 outputs.* learn from all": lambda: current_trial_loop(
-        axes()[:, 0]
     ),
     # a loop that is not ours
     "P = None: then Ts and outputs": lambda: ClosedLoop(),
@@ -188,7 +174,7 @@ REFUSED = {  # what the error says, and a call
     "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),
     "u = None": lambda: BOUND.next(ZERO, ZERO),
     r"v or e holds the signals \['b', 'a'\], .*bound_to": lambda: LAW_OF_TWO.next(
-        labelled("b", "a"), TWO
+        pd.DataFrame(TWO, columns=["b", "a"]), TWO
     ),
 }
 
@@ -291,8 +277,9 @@ def test_a_reference_has_times_of_the_loop_or_numbers_of_samples():
     run_trials(LOOP, LAW, HALF.reset_index(drop=True))
     run_trials(LOOP, LAW, HALF.set_axis(2 * HALF.index))
     times = xr.DataArray(HALF, dims=("time", "output"), coords={"time": HALF.index})
-    with pytest.raises(ValueError, match="reference has times"):
-        run_trials(LOOP, LAW, times)
+    for wrong in (HALF.x, times):
+        with pytest.raises(ValueError, match=r"reference has times .* 0.5 s, but Ts is 1 s"):
+            run_trials(LOOP, LAW, wrong)
 
 
 def test_a_file_that_cannot_be_written_is_called_by_its_name(tmp_path):

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from plants import furnace, lifted, random_stable
 
 from ilctools import minimal_realisation, state_sequence
@@ -21,17 +22,15 @@ def test_hidden_states_of_any_plant_are_removed(n, unreachable, unobservable, se
     plant = control.ss(T @ A @ T.T, T @ B, C @ T.T, 0, inputs=["u1", "u2"])
     minimal = minimal_realisation(plant, ["u1", "u2"])
     assert minimal.nstates == n
-    np.testing.assert_allclose(
-        frequency_response(minimal, [0.3]), frequency_response(plant, [0.3]), atol=1e-8
-    )
+    assert_allclose(frequency_response(minimal, [0.3]), frequency_response(plant, [0.3]), atol=1e-8)
 
 
 def test_a_trial_as_sparse_matrices_is_the_recursion_and_its_outputs():
     P, d = random_stable(0), np.random.default_rng(0).standard_normal((9, 2))
     x = state_sequence(P.A, d @ P.B.T, np.zeros(4))
     z = np.append(x, d)
-    np.testing.assert_allclose(dynamics_on_trial(9, P.A, P.B) @ z, 0, atol=1e-13)
-    np.testing.assert_allclose(on_trial(9, P.C, P.D) @ z, lifted(P, 9) @ d.ravel(), rtol=1e-9)
+    assert_allclose(dynamics_on_trial(9, P.A, P.B) @ z, 0, atol=1e-13)
+    assert_allclose(on_trial(9, P.C, P.D) @ z, lifted(P, 9) @ d.ravel(), rtol=1e-9)
 
 
 RESTING = control.ss(-1, [[0.0, 1.0]], 1, 0, inputs=["u", "d"])

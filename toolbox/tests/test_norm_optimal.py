@@ -24,7 +24,6 @@ PLANTS = {
     "more outputs than inputs": random_stable(1)[:, 0],
     "more inputs than outputs": random_stable(2)[0, :],
     "with a delay of thirty samples": sampled_plant(furnace(30), "P"),
-    "with a zero outside": control.ss(control.tf([1, -1.3], [1, -1.7, 0.72], 1.0)),
     "slow": control.append(lag(0.999), lag(0.3, gain=5.0)),
     "with a state that no input moves": control.append(lag(0.9), lag(0.99))[:, 0],
     "without states": control.ss([], [], [], [[2.0, 0.1], [0.3, 1.0]], 1.0),

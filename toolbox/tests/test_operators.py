@@ -5,6 +5,7 @@ import pickle
 import control
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from plants import random_stable
 
 from ilctools import LearningFilter, NormOptimal, zero_phase_butterworth
@@ -48,7 +49,7 @@ def test_it_is_linear_has_its_transpose_and_its_response_and_travels(name):
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(L)).apply(x), applied)
     size = {"rtol": 0, "atol": 1e-10 * np.abs(applied).max()}
     one_by_one = [2 * L.apply(signal) for signal in other]
-    np.testing.assert_allclose(L.apply(x + 2 * other), applied + one_by_one, **size)
+    assert_allclose(L.apply(x + 2 * other), applied + one_by_one, **size)
     y = random.standard_normal((3, SAMPLES, rows))
     product = np.sum(L.apply_transposed(y) * x)
     assert np.sum(y * applied) == pytest.approx(product, abs=1e-8 * np.abs(applied).sum())
@@ -57,7 +58,7 @@ def test_it_is_linear_has_its_transpose_and_its_response_and_travels(name):
     turns = np.exp(-1j * np.outer(omega * Ts, np.arange(SAMPLES) - MIDDLE))
     seen, response = np.einsum("nt,jti->nij", turns, L.apply(pulses)), L.frequency_response(omega)
     response = response if response.ndim == 3 else response[:, None, None] * np.eye(2)  # Q
-    np.testing.assert_allclose(seen, response, rtol=0, atol=1e-7 * np.abs(response).max())
+    assert_allclose(seen, response, rtol=0, atol=1e-7 * np.abs(response).max())
 
 
 def test_it_learns_in_the_norm_that_it_minimises_or_in_the_usual_one():

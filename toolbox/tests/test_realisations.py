@@ -4,6 +4,7 @@ import control
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy.linalg import companion
 
 from ilctools import minimal_realisation, state_sequence
@@ -43,12 +44,12 @@ def test_states_that_rounding_cannot_tell_apart_are_not_left_out():
     except ValueError as error:
         assert "rounding decides" in str(error)
     else:
-        np.testing.assert_allclose(minimal(ANGLES), P(ANGLES), rtol=0, atol=1e-7)
+        assert_allclose(minimal(ANGLES), P(ANGLES), rtol=0, atol=1e-7)
 
 
 def test_a_numerator_that_is_small_is_no_zero():
     P = control.tf([8e-15, 1.2e-14], [1, -0.5], 1.0)
-    np.testing.assert_allclose(sampled_plant(P)(1.0), P(1.0), rtol=1e-12)
+    assert_allclose(sampled_plant(P)(1.0), P(1.0), rtol=1e-12)
 
 
 def test_states_of_a_companion_form_obey_their_recursion():

@@ -15,7 +15,7 @@ import control
 import numpy as np
 
 from ilctools import arguments, units
-from ilctools.models import Model, frequency_response, sampled_plant
+from ilctools.models import Model, frequency_response, sampled_plant, stable_plant
 from ilctools.signals import Signals, check_match
 
 
@@ -189,23 +189,9 @@ class CurrentTrialLoop:
         """Names of the inputs w = r + v."""
         return _inputs_of(self.outputs)
 
-    @property
-    def learned(self) -> list[str]:
-        """Names of the inputs that v is added to: all inputs."""
-        return self.inputs
-
-    @property
-    def one_for_one(self) -> bool:
-        """Whether v is added to the references.
-
-        If so, v has one channel for each output, in the order of the outputs.
-        """
-        return True
-
-    @property
-    def commands(self) -> list[str]:
-        """Names of the signals that are sent to the actuators: the controls."""
-        return self.controls
+    learned = inputs  # v is added to all inputs
+    one_for_one = True  # v is added to the references, one channel for each output
+    commands = controls  # the signals that are sent to the actuators
 
     def w(self, reference, v) -> np.ndarray:
         """Compute the inputs w = r + v, equation (22)."""
@@ -244,15 +230,7 @@ class CurrentTrialLoop:
             inputs=self.inputs, outputs=self.outputs,
         )  # fmt: skip
 
-    @property
-    def P_v(self) -> control.StateSpace:
-        """The transfer function from v to y, which is P."""
-        return self.P
-
-    @property
-    def P_r(self) -> control.StateSpace:
-        """The transfer function from r to y, which is P."""
-        return self.P
+    P_v = P_r = P  # w = r + v, so that P is also the transfer function from v to y, and from r to y
 
     def feedback(self) -> Feedback:
         """Return K = -K_s and N of the commands u = N w - K_s x.
@@ -268,7 +246,7 @@ class CurrentTrialLoop:
         The inputs are w1, w2, ..., and then the disturbances d. The outputs are y. The frequency
         response from w is P of (31), and the response from d is P-tilde of (32).
         """
-        return _from_w_and_d(self)
+        return self.around(None)
 
     def around(self, plant: Model) -> control.StateSpace:
         """Return the loop (19) with the same controller around another plant.
@@ -279,7 +257,10 @@ class CurrentTrialLoop:
         lacks has no effect. Signals of the plant that the loop does not have are left out. The
         plant may have direct feedthrough.
         """
-        return _from_w_and_d(self, plant)
+        closed = whole_loop(self, plant)[: len(self.outputs), : -len(self.outputs)]
+        inputs = self.inputs + self.disturbances
+        closed.update_names(inputs=inputs, outputs=self.outputs, name="current-trial loop")
+        return closed
 
     def model(self, plant: Model | None = None) -> control.StateSpace:
         """Return P, or the transfer function from w to y around another plant."""
@@ -395,7 +376,7 @@ class ClosedLoop:
     def __post_init__(self):
         P, Ts, outputs = self.P, self.Ts, self.outputs
         if P is not None:
-            P = _stable_model("P", P)
+            P = stable_plant(P, "P")
             outputs = P.output_labels if outputs is None else outputs
             Ts = P.dt if Ts is None else Ts
         if Ts is None or outputs is None:
@@ -418,7 +399,6 @@ class ClosedLoop:
         others = [] if self.one_for_one else [name for name in self.inputs if name not in outputs]
         signals = [*outputs, *others, *controls, *disturbances]
         vars(self).update(
-            P=P,
             Ts=Ts,
             controls=controls,
             disturbances=disturbances,
@@ -433,7 +413,7 @@ class ClosedLoop:
         elif references is None or learned is None:
             inputs = _inputs_of(outputs)
         else:
-            inputs = [*dict.fromkeys([*references, *learned])]
+            inputs = self.inputs
         if (references is None or learned is None) and len(inputs) != len(outputs):
             raise ValueError(
                 f"P has the inputs {inputs} and the outputs {outputs}, which are not equally "
@@ -494,10 +474,7 @@ class ClosedLoop:
         """
         return np.array([[i == name for name in self.learned] for i in self.inputs])
 
-    @property
-    def commands(self) -> list[str]:
-        """Names of the signals that are sent to the rig: the inputs w."""
-        return self.inputs
+    commands = inputs  # the signals that are sent to the rig
 
     def w(self, reference, v) -> np.ndarray:
         """Compute the inputs w = F r + G v.
@@ -541,7 +518,7 @@ class ClosedLoop:
                 "loop has no P: it can be run and excited, but not simulated. "
                 "Give ClosedLoop a model P"
             )
-        P = self.P if plant is None else _stable_model("plant", plant)
+        P = self.P if plant is None else stable_plant(plant)
         labels = [*self.outputs, *self.inputs]
         check_match(loop=Signals(self.Ts, labels=labels), plant=P)
         sizes = len(self.outputs), len(self.inputs)
@@ -576,13 +553,6 @@ def _values(loop):
             continue
         yield from (value.A, value.B, value.C, value.D, value.dt)
         yield from (value.input_labels, value.output_labels)
-
-
-def _stable_model(name, P):
-    """Check that a model from w to y is stable, and return it in discrete time."""
-    P = sampled_plant(P, name)
-    arguments.stable(name, P.poles())
-    return P
 
 
 def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -622,10 +592,9 @@ def whole_loop(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     missing = [n for n in [*loop.controls, *loop.outputs] if n not in signals]
     if missing:
         raise ValueError(f"plant has the signals {signals}, but the loop also needs {missing}")
-    ours, plant = loop.plant.input_labels, plant[loop.outputs, :]
+    ours = loop.plant.input_labels
     picked = np.array([[a == b for b in ours] for a in plant.input_labels])
-    B, D = plant.B @ picked, plant.D @ picked
-    closed = close(loop, control.ss(plant.A, B, plant.C, D, plant.dt))
+    closed = close(loop, plant[loop.outputs, :] * picked)
     poles = closed.poles()
     worst = poles[np.abs(poles).argmax()]
     if abs(worst) > arguments.CIRCLE:
@@ -653,13 +622,3 @@ def close(loop: CurrentTrialLoop, plant: control.StateSpace) -> control.StateSpa
         np.block([[Du @ loop.N, F, 0 * Du], [loop.N, 0 * F, 0 * Du]]),
         loop.Ts,
     )
-
-
-def _from_w_and_d(loop, plant=None):
-    """Return the loop (19) from w and d to y, with named signals."""
-    m = len(loop.outputs)
-    closed = whole_loop(loop, plant)[:m, :-m]
-    closed.update_names(
-        inputs=loop.inputs + loop.disturbances, outputs=loop.outputs, name="current-trial loop"
-    )
-    return closed

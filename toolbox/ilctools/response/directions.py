@@ -49,8 +49,7 @@ class Directions:
 
     def of_model(self, P: control.StateSpace) -> control.StateSpace:
         """Return U' P V for a model."""
-        U, V = self.U, self.V
-        return control.ss(P.A, P.B @ V, U.T @ P.C, U.T @ P.D @ V, P.dt)
+        return self.U.T * P * self.V
 
     @property
     def back(self) -> "Directions":
@@ -59,17 +58,15 @@ class Directions:
 
     def in_words(self, outputs, inputs) -> str:
         """Describe the directions in which P has no gain, by the names of the channels."""
-        texts = [
-            *(
-                f"no input moves the combination {text} of the outputs"
-                for text in _beside(self.U, outputs)
-            ),
-            *(
-                f"the combination {text} of the inputs moves no output"
-                for text in _beside(self.V, inputs)
-            ),
+        unmoved = [
+            f"no input moves the combination {text} of the outputs"
+            for text in _beside(self.U, outputs)
         ]
-        return "; ".join(texts)
+        idle = [
+            f"the combination {text} of the inputs moves no output"
+            for text in _beside(self.V, inputs)
+        ]
+        return "; ".join(unmoved + idle)
 
 
 def _spanned(rows):

