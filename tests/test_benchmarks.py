@@ -47,7 +47,7 @@ def test_regions_are_counted(page, monkeypatch):
 
 
 def test_what_is_timed_runs_and_its_time_and_memory_are_a_table(page, monkeypatch):
-    """That all methods find the same filter, toolbox/tests/test_base.py tests."""
+    """That all methods find the same filter, toolbox/tests/test_channels.py tests."""
     monkeypatch.setattr(bench_synthesis, "measured", lambda function, arguments, calls: (calls, 7))
     *rows, _, _ = page("performance", bench_synthesis.main, (60,)).splitlines()
     assert rows[-1] == "| full | 60 | CVXPY, batched | 2.00 | 0.222 | 7 |" and len(rows) == 2 + 6

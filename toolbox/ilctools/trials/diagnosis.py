@@ -109,11 +109,12 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
 def _first_finding(test, trials, first):
     """Return the first finding of a test in successive trials.
 
-    Outputs of one unit are tested together.
+    Outputs of one unit are tested together. The variable `rms` is their RMS(e_k).
     """
     groups = by_unit(trials.output_unit.values.tolist()).values()
     for channels in groups:
         alike = trials.isel(channel=channels)
+        alike = alike.assign(rms=rms_of(alike.e))
         where = f"{', '.join(alike.output.values)}: " if len(groups) > 1 else ""
         for k, since in enumerate(successions(trials)):
             if k >= first - 1 and (values := test(alike.isel(trial=slice(since, k + 1)))):
@@ -141,7 +142,7 @@ def error_grows(trials: xr.Dataset) -> dict:
     """
     largest = np.abs(trials.reference.values).max()
     trials = trials.isel(trial=slice(first_judged(trials), None))
-    e, size = trials.e.values, rms_of(trials.e).values
+    e, size = trials.e.values, trials.rms.values
     if len(size) < 2:
         return {}
     size = np.maximum(size, ROUNDED_ERROR * max(largest, *size))
@@ -150,9 +151,10 @@ def error_grows(trials: xr.Dataset) -> dict:
     if rises < RISES:
         before, rises, least = size[:-1].argmax(), 1, JUMP
     growth, noise = size[-1] / size[before], np.linalg.norm(noise_std(e[0]))
+    if growth < least or size[-1] < AMPLIFICATION * noise:
+        return {}
     freedom = degrees_of_freedom(np.abs(harmonics(e[-1] - e[-2])) ** 2).item()
-    by_chance = chance(growth, freedom, rises + 1) >= SIGNIFICANCE
-    if by_chance or growth < least or size[-1] < AMPLIFICATION * noise:
+    if chance(growth, freedom, rises + 1) >= SIGNIFICANCE:
         return {}
     return {"trials": trials.trial.values[[before, -1]], "rms": size[[before, -1]]}
 

@@ -48,7 +48,7 @@ from scipy.signal import oaconvolve
 from ilctools import arguments
 from ilctools.law.notes import RESET
 from ilctools.loop.closed import Loop
-from ilctools.models import Model, frequency_response, sampled_plant
+from ilctools.models import Model, frequency_response, stable_plant
 from ilctools.norm_optimal import NormOptimal
 from ilctools.signals import TRIAL_AXES, Signals, check_match, period_of
 from ilctools.singular_values import largest_singular_values
@@ -203,8 +203,7 @@ def _model(model, outputs, period):
                 "give P as a state-space model from references to outputs, or leave model out"
             )
         model = model.P_v
-    P = sampled_plant(model, "model")
-    arguments.stable("model", P.poles())
+    P = stable_plant(model, "model")
     if (P.noutputs, P.ninputs) != (len(outputs), len(outputs)):
         raise ValueError(
             f"model has {P.noutputs} outputs and {P.ninputs} inputs, but the trials have "
