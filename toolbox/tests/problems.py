@@ -83,10 +83,8 @@ def optimum(problem):
     return program.value, U, V, Cuts(np.array(plant), np.array(frequency), N)
 
 
-def statement(
-    P, Q, omega, Ts, *, order, band=None, M_max=0.9, L_max=None, structure="full", objective="sum"
-):
-    """State the problem, and let Clarabel solve it.
+def statement(P, Q, omega, Ts, *, order, band, M_max=0.9, L_max=None, structure="full"):
+    """State the problem (39), and let Clarabel solve it.
 
     Arguments as for `synthesise`, P and Q as arrays. The powers of z are nearly
     dependent at low frequencies, where Clarabel would fail: C consists of multiples of R^-T, of
@@ -94,8 +92,8 @@ def statement(
 
     Returns
     -------
-    coefficients : ndarray, shape (m, m, order)
-        C_k; NaN if the bounds cannot be met.
+    L : ndarray, shape (n, m, m)
+        Response of the filter; None if the bounds cannot be met.
     value : float
         The objective; infinite if the bounds cannot be met. Clarabel's accuracy is about 1e-6.
     """
@@ -110,19 +108,12 @@ def statement(
         bounds.append(sigma_max_at_most(L, np.full(n, L_max)))  # (46)
     if structure == "diagonal":
         bounds.append(taps[:, ~np.eye(m, dtype=bool).ravel()] == 0)
-    in_band = t if band is None else t[(omega >= band[0]) & (omega <= band[1])]
-    cost = cp.sum(in_band) if objective == "sum" else cp.max(t)  # (39), (45)
-    value = least(cost, bounds)
-    C = np.full((order, m * m), np.nan) if taps.value is None else inverse @ taps.value
-    return C.T.reshape(m, m, order), value
-
-
-def least(cost, bounds) -> float:
-    """The least cost within the bounds, by Clarabel."""
+    cost = cp.sum(t[(omega >= band[0]) & (omega <= band[1])])  # (39)
     problem = cp.Problem(cp.Minimize(cost), bounds)
     options = {"canon_backend": cp.SCIPY_CANON_BACKEND, "chordal_decomposition_enable": False}
     with warnings.catch_warnings(action="ignore"):  # "may be inaccurate": about 1e-6
-        return problem.solve(solver=cp.CLARABEL, **options)
+        value = problem.solve(solver=cp.CLARABEL, **options)
+    return L.value, value
 
 
 def sigma_max_at_most(G, b):

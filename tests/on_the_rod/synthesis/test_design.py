@@ -11,7 +11,7 @@ from rodlib.paper import published
 
 def judged(L, loop, Q, omega):
     """Largest singular values of M and L by numpy's SVD, not by what synthesise uses."""
-    gain = np.linalg.norm(L.frequency_response(omega), 2, axis=(1, 2))
+    gain = np.linalg.matrix_norm(L.frequency_response(omega), ord=2)
     return sigma_of_M(omega, loop.frequency_response(omega), Q, L), gain
 
 

@@ -156,11 +156,8 @@ class Certificate:
         own = self._at(omega, plants)
         # the eigenvalues contain neither the error of the splines nor what is assumed about P
         # outside its samples
-        least = {
-            "estimated": max(1, own.sigma.max() * (1 + PEAK_TOLERANCE)),
-            "assumed": 1,
-            BELOW: 1,
-        }
+        largest = max(1, own.sigma.max() * (1 + PEAK_TOLERANCE))
+        least = {"estimated": largest, "assumed": 1, BELOW: 1}
         unknown = [self.peaks[how].sigma >= least[how] for how in least.keys() & self.peaks]
         return Convergence(
             problem.omega,
@@ -205,9 +202,9 @@ class Certificate:
 
         The prediction is None if the problem has no reference.
         """
-        return (
-            None if self.problem.objective.band else predicted_rms(self.problem, self.scaled_filter)
-        )
+        if self.problem.objective.first_error is None:
+            return None
+        return predicted_rms(self.problem, self.scaled_filter)
 
     @property
     def gap(self) -> float:
@@ -236,9 +233,8 @@ class Certificate:
         The value is taken on the grid, or over all frequencies, as `code` says.
         """
         value = self.on_grid(claim) if code == "on the grid" else self.anywhere(claim)
-        place = ""
-        if claim.matrix == "M":
-            place = " " + self.place(self.peaks.get(code, self.peak))
+        of_M = claim.matrix == "M"
+        place = f" {self.place(self.peaks.get(code, self.peak))}" if of_M else ""
         return Finding(code, value, claim.limit, place, claim=claim)
 
     @property
@@ -260,8 +256,8 @@ class Certificate:
 
     def place(self, peak):
         """Say in words at which frequency a peak is, and to which plant the peak belongs."""
-        of_plant = f"of plant {peak.plant} at " if len(self.problem.plants) > 1 else "at "
-        return f"{of_plant}{peak.omega:.4g} rad/s"
+        of_plant = f"of plant {peak.plant} " if len(self.problem.plants) > 1 else ""
+        return f"{of_plant}at {peak.omega:.4g} rad/s"
 
     @cached_property
     def settled_trial(self) -> SettledTrial:
@@ -320,7 +316,7 @@ def _alike(problem):
     """
     cutoff = problem.lowpass.cutoff
     below = problem.omega <= max(cutoff, problem.omega[0])
-    values = np.linalg.svd(problem.P[below], compute_uv=False)
+    values = np.linalg.svdvals(problem.P[below])
     share = (values[:, -1] / values[:, 0]).max()
     if share < ALIKE:
         yield Finding("alike", share, ALIKE, f"up to {cutoff:.4g} rad/s")

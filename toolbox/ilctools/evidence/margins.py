@@ -44,7 +44,7 @@ from ilctools.evidence.peak import with_tops
 from ilctools.evidence.robustness import within_radius
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.problem import Problem
-from ilctools.response.phase import phase, phase_grid, subdivided
+from ilctools.response.phase import phase_grid, subdivided
 from ilctools.response.response import Response
 from ilctools.response.samples import SAME_FREQUENCY
 
@@ -148,8 +148,7 @@ def _filters(problem, L) -> Filters:
     lowpass, poles = problem.lowpass, [L.poles]
     if isinstance(lowpass, ZeroPhaseButterworth):
         poles.append(lowpass.poles)
-    turn = float(phase(L.poles, np.array([np.pi]))[0])
-    omega = phase_grid(poles, max(PHASE_STEP, turn / MOST_FOR_L)) / problem.Ts
+    omega = phase_grid(poles, PHASE_STEP, MOST_FOR_L) / problem.Ts
     ends = _ends(problem.response)[0], np.pi / problem.Ts
     omega = np.unique([*problem.omega, *omega[(omega > ends[0]) & (omega < ends[1])], *ends])
     # Of two frequencies that are nearly the same, one is kept: the slope between the two values

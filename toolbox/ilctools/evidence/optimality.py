@@ -100,7 +100,7 @@ def _projected(problem, parts):
 
 def _nuclear_norms(N):
     """Return the nuclear norm of each matrix."""
-    return np.linalg.svd(N, compute_uv=False).sum(axis=1)
+    return np.linalg.svdvals(N).sum(axis=1)
 
 
 def dual_norm(N) -> np.ndarray:
@@ -125,7 +125,7 @@ def dual_norm(N) -> np.ndarray:
     count, rows, m = N.shape
     if rows == m:
         return _nuclear_norms(N)
-    size = np.linalg.norm(N, axis=(1, 2))
+    size = np.linalg.matrix_norm(N)
     N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
     low, high = np.full((2, count), [[-MOST_UNEQUAL], [MOST_UNEQUAL]])
     for _ in range(HALVINGS):
@@ -143,7 +143,7 @@ def _costs(N, t):
     parts = [np.sqrt(weights)[..., None, None] * N, floor]
     stacked = np.concatenate(parts, axis=1).reshape(len(N), -1, N.shape[-1])
     _, s, B = np.linalg.svd(stacked, full_matrices=False)  # X is B^H diag(s) B
-    in_basis = N @ B.conj().swapaxes(1, 2)[:, None]
+    in_basis = N @ B.conj().mT[:, None]
     c = (np.abs(in_basis) ** 2 / s[:, None, None]).sum(axis=(2, 3))
     return c.T, s.sum(axis=1)
 

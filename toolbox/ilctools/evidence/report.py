@@ -14,31 +14,33 @@ PREDICTED_TRIALS = (1, 2, 3, 5, 10)  # trials whose RMS error is printed if ther
 
 def printed(certificate) -> str:
     """Return the printed text of a certificate: rate, margins, gains, limits and warnings."""
-    problem = certificate.problem
-    known = [line for line in problem.assumptions if not isinstance(line, Assumed)]
-    all_known = len(known) == len(problem.assumptions)
-    lines = [
-        _rate(certificate),
-        *([repr(certificate.margins)] if certificate.rate <= 1 + PEAK_TOLERANCE else []),
-        "; ".join(_gains(certificate)),
-        *_unequal(certificate),
-        "; ".join([_limits(certificate), *_mean(certificate)]),
-        *_deaf(certificate),
-        *map(str, known),
-        *_below(certificate),
-        *([] if all_known else ["assumptions: see .certificate.details"]),
-    ]
-    return "\n".join([*lines, *_against(certificate)])
+    return "\n".join(_lines(certificate))
+
+
+def _lines(certificate):
+    """Yield the lines of the printed text."""
+    assumptions = certificate.problem.assumptions
+    known = [line for line in assumptions if not isinstance(line, Assumed)]
+    yield _rate(certificate)
+    if certificate.rate <= 1 + PEAK_TOLERANCE:
+        yield repr(certificate.margins)
+    yield "; ".join(_gains(certificate))
+    yield from _unequal(certificate)
+    yield "; ".join([_limits(certificate), *_mean(certificate)])
+    yield from _deaf(certificate)
+    yield from known
+    yield from _below(certificate)
+    if len(known) < len(assumptions):
+        yield "assumptions: see .certificate.details"
+    yield from _against(certificate)
 
 
 def details(certificate) -> str:
     """Return the text of :attr:`.Certificate.details`: a table of all peaks and bounds."""
     problem, bounds = certificate.problem, certificate.problem.bounds
-    peaks = certificate.peaks.items()
-    table = [
-        *((claim.limit, claim.name) for claim in bounds.on("M")),
-        *((peak.sigma, f"sigma_max(M), {how}, {certificate.place(peak)}") for how, peak in peaks),
-    ]
+    table = [(claim.limit, claim.name) for claim in bounds.on("M")]
+    for how, peak in certificate.peaks.items():
+        table.append((peak.sigma, f"sigma_max(M), {how}, {certificate.place(peak)}"))
     for claim in bounds.on("L"):
         table += [
             (claim.limit, claim.name),
@@ -52,8 +54,8 @@ def details(certificate) -> str:
         (certificate.lower_bound, "lower bound of the objective"),
     ]
     lines = [f"{value:<11.5g}{what}" for value, what in table]
-    assumptions = map(str, problem.assumptions)
-    return "\n".join([*lines, *_mean(certificate), *assumptions, *_against(certificate)])
+    lines += [*_mean(certificate), *map(str, problem.assumptions), *_against(certificate)]
+    return "\n".join(lines)
 
 
 def _rate(certificate):
@@ -61,9 +63,10 @@ def _rate(certificate):
     problem, peak = certificate.problem, certificate.highest_peak
     near = certificate.problem_on_grid.omega[certificate.worst.sigma >= 0.99 * peak.sigma]
     at = np.append(near, peak.omega).min()
-    where = ", proven" if certificate.proven else f" {_span(problem.omega)}, estimated"
+    span = _span(problem.omega)
+    where = ", proven" if certificate.proven else f" {span}, estimated"
     if BELOW in certificate.peaks:
-        where = f", estimated {_span(problem.omega)}"
+        where = f", estimated {span}"
     return (
         f"rate at most {certificate.rate:.4f}{_whom(problem)}, at all frequencies{where}; largest "
         f"near {float(f'{at:.2g}'):g} rad/s"

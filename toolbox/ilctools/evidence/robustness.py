@@ -98,7 +98,7 @@ def within_radius(P, Q, L, radius, level):
     """
     M, rho_L = convergence_matrix(P, Q, L), (np.abs(Q) * radius)[:, None, None] * L
     if P.shape[2] < P.shape[1]:  # M = Q (I - L P): the same problem for P^T and L^T
-        M, rho_L = M.swapaxes(1, 2), rho_L.swapaxes(1, 2)
+        M, rho_L = M.mT, rho_L.mT
     wider = largest_singular_values(rho_L) if np.any(radius) else np.zeros(len(M))
     sigma = largest_singular_values(M) + wider
     near = (sigma >= NEAR_LEVEL * level) & (wider > 0)

@@ -57,7 +57,7 @@ class Maps:
         changed = v - self.filtered(self.H, v.reshape(self.of_v)) @ self.L_N.T
         back = self.Q.apply_transposed(self.Q.apply(changed.reshape(self.of_v)))
         errors = (back.reshape(v.shape) @ self.L_N).reshape(self.of_e)
-        result = back.reshape(v.shape) - self.filtered(self.H.conj().swapaxes(2, 3), errors)
+        result = back.reshape(v.shape) - self.filtered(self.H.conj().mT, errors)
         return (result @ self.learned_basis).ravel()
 
     def filtered(self, H, signals):

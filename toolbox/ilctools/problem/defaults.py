@@ -164,7 +164,7 @@ def _lag(P, omega, Ts, at):
     `at` selects the k frequencies.
     """
     if P.shape[1] > P.shape[2]:  # then compute the lag for each input, with the outputs combined
-        P = P.swapaxes(1, 2)
+        P = P.mT
     square = P.shape[1] == P.shape[2]
     response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]) if square else np.linalg.pinv(P[0]))
     u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, at))

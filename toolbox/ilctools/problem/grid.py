@@ -33,11 +33,9 @@ def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
     also added above the last sample of P, where only the size of P is known. The mask selects the
     frequencies that belong to the user's omega.
     """
-    between = problem.bounds.everywhere or _is_coarse(problem)
-    if not between and problem.response.beyond is None:
-        return problem, np.ones(len(problem.omega), bool)
-    dense = _dense(problem)
-    grid = _bounded_between(problem, dense) if between else problem
+    grid, dense = problem, _dense(problem)
+    if problem.bounds.everywhere or _is_coarse(problem):
+        grid = _bounded_between(problem, dense)
     if problem.response.beyond is not None:
         grid = _bounded_above(grid, problem, dense)
     return grid, np.isin(grid.omega, problem.omega)
@@ -60,12 +58,10 @@ def _is_coarse(problem):
 def _bounded_between(problem, dense) -> Problem:
     """Return the problem with bounds also between its frequencies, where P is known."""
     everywhere, stated = problem.bounds.everywhere, problem.omega
-    denser = stated
+    omega = [dense.theta / problem.Ts, [claim.lowest for claim in problem.bounds.on("L")]]
     if everywhere and not problem.proven:
-        denser = subdivided(stated, FREQUENCIES_PER_SAMPLE)
-    first = [claim.lowest for claim in problem.bounds.on("L")]
-    omega = np.concatenate([dense.theta / problem.Ts, denser, first])
-    omega = np.setdiff1d(omega, stated)
+        omega.append(subdivided(stated, FREQUENCIES_PER_SAMPLE))
+    omega = np.setdiff1d(np.concatenate(omega), stated)
     if problem.response.beyond is not None:
         omega = omega[omega < stated[-1]]
     bounds = problem.bounds.lowered(dense.shrink, M=everywhere)

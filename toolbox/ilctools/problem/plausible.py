@@ -96,7 +96,7 @@ def at_rest_in_words(response: Response) -> str:
     else:
         P, where = response.P[0, 0], f"at {omega:.4g} rad/s" if omega > 0 else "at zero frequency"
     if P.shape[0] != P.shape[1] or response.directions is not None:
-        values = [f"{value:.3g}" for value in np.linalg.svd(P, compute_uv=False)]
+        values = [f"{value:.3g}" for value in np.linalg.svdvals(P)]
         s = "s" if len(values) > 1 else ""
         return f"P has the singular value{s} {', '.join(values)} {where}"
     rounding = ROUNDED_TO_ZERO * largest_singular_values(response.P[0]).max()

@@ -61,7 +61,10 @@ def pose(
         order,
         structure,
         B,
-        formula_will_do=pooled and asked_order is None,
+        formula_will_do=pooled
+        and asked_order is None
+        and reference is None
+        and objective.kind == "sum",
         defaults_chosen=tuple(chosen),
     )
 
@@ -261,7 +264,7 @@ def _smallest_singular_values(response, cutoff):
 
     A singular plant is refused.
     """
-    omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
+    omega, singular_values = response.omega, np.linalg.svdvals(response.P[0])
     # Up to the cut-off, `size` is the largest singular value at all frequencies. Above the cut-off,
     # it is the largest singular value at the same frequency.
     size = np.where(omega <= cutoff, singular_values.max(), singular_values[:, 0])
@@ -274,7 +277,7 @@ def _smallest_singular_values(response, cutoff):
 def refuse_singular(response):
     """Refuse plants that are singular at all frequencies, because they allow no cut-off."""
     for k, P in enumerate(response.P):
-        values = np.linalg.svd(P, compute_uv=False)
+        values = np.linalg.svdvals(P)
         if np.all(values[:, -1] <= SINGULAR * values.max()):
             name = "P" if len(response.P) == 1 else f"P[{k}]"
             raise _singular(name, response.omega[0], values[0, -1])

@@ -139,7 +139,7 @@ class Problem:
 
     def turned(self, X) -> np.ndarray:
         """Return P, L or B turned, which means transposed if M acts on v."""
-        return X.swapaxes(-2, -1) if self.of_v else X
+        return X.mT if self.of_v else X
 
     @property
     def radius(self) -> np.ndarray | None:
@@ -195,7 +195,7 @@ class Problem:
         # A singular plant has a direction without gain, in which sigma_max(M) >= |Q| for any L.
         if self.radius is None:
             return np.zeros(len(self.omega), dtype=bool)
-        smallest = np.linalg.svd(self.plants, compute_uv=False)[..., -1].min(axis=0)
+        smallest = np.linalg.svdvals(self.plants)[..., -1].min(axis=0)
         return self.radius >= smallest
 
     def M(self, L, number: int = 0) -> np.ndarray:
@@ -210,12 +210,14 @@ class Problem:
         not square, let B = U R with U* U = I. G then contains R K instead of L = B K. R K and B K
         have the same singular values.
         """
-        identity, Q = np.eye(self.channels), self.Q[at, None, None]
+        Q = self.Q[at, None, None]
         T = self.through_base(-Q * self.turned(self.plants[plant, at]), at)
         if radius is not None:
-            of_L = identity if self.square else np.linalg.qr(self.of_K[at], mode="r")
-            of_L = np.abs(Q) * radius[at, None, None] * of_L
-            T = np.concatenate([T, self.through_base(of_L, at) if self.square else of_L], axis=1)
+            if self.square:
+                of_L = self.through_base(np.eye(self.channels), at)
+            else:
+                of_L = np.linalg.qr(self.of_K[at], mode="r")
+            T = np.concatenate([T, np.abs(Q) * radius[at, None, None] * of_L], axis=1)
         return Q * np.eye(T.shape[1], self.channels), T
 
     @cached_property

@@ -115,7 +115,7 @@ def choose_cutoff(response: Response, M_max: float) -> Cutoff:
 def _limits(response, M_max):
     """Compute all limits on the cut-off, see the docstring of the module."""
     omega, P, Ts = response.omega, response.P, response.Ts
-    values = np.linalg.svd(P, compute_uv=False)[..., -1].min(axis=0)
+    values = np.linalg.svdvals(P)[..., -1].min(axis=0)
     rest = at_rest(values) or values.max()
     weak, start = values < WEAK * rest, np.argmax(values >= WEAK * rest)
     weak[:start] = False  # P passes nothing at rest

@@ -336,10 +336,8 @@ def designed(problem: Problem) -> Synthesis:
 def by_formula(problem: Problem) -> Synthesis | None:
     """Design L = B, with K = 1.
 
-    Return None if B violates a bound, or if K is to be optimised in any case.
+    Return None if B violates a bound.
     """
-    if problem.objective.kind != "sum" or problem.objective.band is None:
-        return None
     problem, one = replace(problem, order=1), np.eye(problem.channels)
     certificate = check(problem, problem.scaled_filter(one[..., None]))
     beyond = certificate.peaks.get("assumed")
@@ -418,10 +416,10 @@ def _infeasible(problem) -> InfeasibleError:
 
 def _obstacle(problem, nearest):
     """Find the plant and the frequency whose bound has the largest multiplier."""
-    size, cuts = np.linalg.norm(nearest.U, axis=(1, 2)), nearest.cuts
+    size, cuts = np.linalg.matrix_norm(nearest.U), nearest.cuts
     plant, at = 0, tied(size).argmax()
     if cuts is not None:
-        of_cuts = np.linalg.norm(cuts.N, axis=(1, 2))
+        of_cuts = np.linalg.matrix_norm(cuts.N)
         if of_cuts.max() * (1 + EQUAL_MULTIPLIERS) >= size.max():
             most = tied(of_cuts).argmax()
             plant, at = cuts.plant[most], cuts.frequency[most]

@@ -36,7 +36,7 @@ def whitened_basis(problem):
     """
     Q = np.abs(problem.Q)
     P = problem.through_base(problem.turned(problem.P), np.arange(len(Q)))
-    weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
+    weight = Q * np.linalg.matrix_norm(P) / Q.max()
     weight = np.hypot(weight, largest_singular_values(problem.L_bound))
     weight = np.maximum(weight, SMALLEST_WEIGHT * weight.max())
     z = weight[:, None] * time_shifts(problem.omega * problem.Ts, problem.order)
@@ -147,8 +147,8 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     }
     bounds = {name: bound for name, bound in bounds.items() if len(bound.at)}
     basis, R = whitened_basis(problem)
-    entries = np.ones((problem.channels, problem.channels))
-    rows, cols = np.nonzero(entries if problem.structure == "full" else np.diag(entries[0]))
+    m = problem.channels
+    rows, cols = np.nonzero(np.ones((m, m)) if problem.structure == "full" else np.eye(m))
     most = GENEROUS if kind == "gain" else problem.M_max
     limits = np.array(levels.limits)
     program = Program(tuple(bounds.values()), basis, rows, cols, levels.cost, limits, most)

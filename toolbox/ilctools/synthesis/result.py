@@ -127,9 +127,8 @@ class Synthesis:
         Each of the two results may be None.
         """
         outputs, inputs = ([str(name) for name in names] for names in self.problem.response.names)
-        of_outputs = {}
-        if isinstance(limits, dict):
-            of_outputs = {name: ends for name, ends in limits.items() if name in outputs}
+        given = limits if isinstance(limits, dict) else {}
+        of_outputs = {name: ends for name, ends in given.items() if name in outputs}
         if both := [name for name in of_outputs if name in inputs]:
             raise ValueError(
                 f"limits[{both[0]!r}] is the name of an output and of an input: give this "
@@ -143,7 +142,7 @@ class Synthesis:
                     "add limits"
                 )
             return limits, None
-        of_commands = {name: limits[name] for name in limits if name not in of_outputs}
+        of_commands = {name: ends for name, ends in given.items() if name not in outputs}
         region = PlantRegion.of(self.problem.response, model)
         return of_commands or None, OutputLimits(of_outputs, noise or {}, region)
 

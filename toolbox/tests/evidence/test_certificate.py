@@ -9,11 +9,10 @@ from paper import paper_choices
 from plants import lag, lags
 from problems import posed
 
-from ilctools import convergence, synthesise, zero_phase_butterworth
-from ilctools.evidence.certificate import certify
+from ilctools import LearningFilter, convergence, synthesise, zero_phase_butterworth
+from ilctools.evidence.certificate import check
 from ilctools.evidence.peak import peak_of_M
 from ilctools.models import frequency_response
-from ilctools.problem.problem import Solution
 
 OMEGA = np.geomspace(1e-3, np.pi, 64)  # one round is enough for four samples, see problem.grid
 BUTTERWORTH = zero_phase_butterworth(2, 0.3, 1.0)
@@ -62,9 +61,7 @@ def test_a_certificate_fails_and_warns_from_its_limits_on(good, gap, M, L, anywh
 
 def test_learning_that_does_nothing_is_named():
     problem = posed(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
-    none = np.zeros((64, 2, 2))
-    nothing = Solution(np.zeros((2, 2, 10)), none, none, 1)
-    [found] = certify(problem, problem, nothing).warnings
+    [found] = check(problem, LearningFilter(np.zeros((2, 2, 10)), 1.0)).warnings
     assert (found.code, found.value) == ("idle", 1)
 
 
@@ -83,7 +80,7 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
 def test_between_the_samples_the_radius_is_interpolated(model):
     """Judged on a dense grid by the exact bound; a model alone keeps its proof."""
     P = frequency_response(MODELS[0], OMEGA)
-    radius = 0.1 * np.linalg.norm(P, 2, axis=(1, 2))
+    radius = 0.1 * np.linalg.matrix_norm(P, ord=2)
     design = of_lags(MODELS[0] if model else P, uncertainty=radius)
     certificate = design.certificate
     assert certificate.failures == [] and not certificate.proven

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from plants import furnace, lag, sigma_of_M
 
 from ilctools import (
@@ -27,10 +28,10 @@ def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
     response = control.forced_response(loop.P, inputs=x.T).outputs.T
     operators = trial_operators(loop.P, Q, L, 60)
     for operator, expected in zip(operators, (response, Q.apply(x), L.apply(x)), strict=True):
-        np.testing.assert_allclose(operator @ x.ravel(), expected.ravel(), atol=1e-10)
+        assert_allclose(operator @ x.ravel(), expected.ravel(), atol=1e-10)
         matrix, adjoint = operator @ np.eye(120), operator.H @ np.eye(120)
-        np.testing.assert_allclose(matrix @ x.ravel(), expected.ravel(), atol=1e-10)
-        np.testing.assert_allclose(adjoint, matrix.T, atol=1e-11)
+        assert_allclose(matrix @ x.ravel(), expected.ravel(), atol=1e-10)
+        assert_allclose(adjoint, matrix.T, atol=1e-11)
 
 
 @pytest.mark.parametrize(("samples", "trials", "rest"), [(120, 3, 0), (120, 2, 15), (1, 1, 0)])
@@ -44,7 +45,7 @@ def test_lanczos_finds_the_norm_of_the_matrix(loop, Q, samples, trials, rest):
     norm, before, after = trial_norm(loop.P, Q, L, samples, trials, rest)
     assert norm == pytest.approx(np.linalg.norm(power, 2), rel=1e-6)
     assert np.linalg.norm(before) == pytest.approx(1)
-    np.testing.assert_allclose(power @ before.ravel(), after.ravel(), atol=1e-11)
+    assert_allclose(power @ before.ravel(), after.ravel(), atol=1e-11)
 
 
 LOWPASS, TAP = zero_phase_butterworth(2, 0.5, 1.0), LearningFilter([[[0.5]]], 1.0)

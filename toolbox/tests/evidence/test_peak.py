@@ -144,7 +144,7 @@ def test_a_peak_is_above_and_close_to_brute_force_in_whatever_units(n, m, distan
     about = (near + distance * np.linspace(-1, 1, 11) * 1e-3).ravel()
     omega = np.concatenate([about, np.linspace(0, np.pi, 2001), [place]])
     z = np.exp(1j * omega)[:, None, None]
-    sigma = np.linalg.norm(C @ np.linalg.solve(z * np.eye(n) - A, [B]) + D, 2, axis=(1, 2))
+    sigma = np.linalg.matrix_norm(C @ np.linalg.solve(z * np.eye(n) - A, [B]) + D, ord=2)
     if lowpass:
         sigma *= lowpass.frequency_response(omega)
     assert sigma.max() <= gain * (1 + rounding)

@@ -10,7 +10,7 @@ from ilctools.evidence.worst_trial import largest_trial_norm
 
 @pytest.mark.parametrize(
     ("plants", "how"),
-    [(others(9), {}), (coupled(4), {}), (others(40)[-9:], {"order": 10, "base": None})],
+    [(others(5), {}), (coupled(3), {}), (others(40)[-5:], {"order": 10, "base": None})],
 )
 def test_it_is_the_largest_of_all_plants_in_any_order(plants, how):
     lowpass, samples = zero_phase_butterworth(2, 0.4 / plants[0].dt, plants[0].dt), 120

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from paper import paper_choices
 from plants import bump
 from problems import posed
@@ -22,7 +23,7 @@ from ilctools.problem import defaults
 
 def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
     chosen, paper = posed(loop, Q), posed(loop, Q, omega, **paper_choices())
-    np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
+    assert_allclose(chosen.omega, omega, rtol=1e-12)
     assert chosen.objective.band == pytest.approx((1e-4, 0.1), rel=1e-12)
     assert (chosen.L_max, paper.L_max) == (200.0, 50.0)
     assert len(chosen.defaults_chosen) == 3 and not paper.defaults_chosen
@@ -35,10 +36,8 @@ def test_time_and_unit_may_be_others(factor, unit):
         posed(control.ss(0.9, size, 0.1, 0, Ts), zero_phase_butterworth(2, 0.1 / Ts, Ts))
         for Ts, size in ((1.0, 1.0), (factor, unit))
     )
-    np.testing.assert_allclose(fast.omega * factor, slow.omega, rtol=1e-9)
-    np.testing.assert_allclose(
-        np.array(fast.objective.band) * factor, slow.objective.band, rtol=1e-9
-    )
+    assert_allclose(fast.omega * factor, slow.omega, rtol=1e-9)
+    assert_allclose(np.array(fast.objective.band) * factor, slow.objective.band, rtol=1e-9)
     assert fast.order == slow.order == 41  # a delay of one, and 4 / (cutoff Ts)
     exact = defaults.ROOM * abs(np.exp(0.1j) - 0.9) / 0.1 / unit  # / |P| at the cut-off
     assert exact <= fast.L_max * (1 + 1e-3) and fast.L_max < 2.001 * exact

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from ilctools import zero_phase_butterworth
 from ilctools.problem.lowpass import lowpass_of
@@ -15,9 +16,9 @@ def test_samples_are_splined_between_and_beyond_their_ends_as_there():
     sampled = lowpass_of(SAMPLES, OMEGA)
     between = np.geomspace(1e-3, 2.0, 777)
     exact = BUTTERWORTH.frequency_response(between)
-    np.testing.assert_allclose(sampled.frequency_response(between), exact, rtol=0, atol=1e-6)
+    assert_allclose(sampled.frequency_response(between), exact, rtol=0, atol=1e-6)
     beyond = sampled.frequency_response(np.array([0.0, 3.0]))
-    np.testing.assert_allclose(beyond, SAMPLES[[0, -1]], rtol=1e-12)
+    assert_allclose(beyond, SAMPLES[[0, -1]], rtol=1e-12)
     assert sampled.cutoff == pytest.approx(0.3, rel=1e-3)
     assert lowpass_of(BUTTERWORTH, OMEGA) is BUTTERWORTH
 

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from plants import bump, furnace, lag, lags
 from problems import posed
 
@@ -37,7 +38,7 @@ def test_several_plants_may_be_known_in_several_ways():
     problem = posed(plants, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
     assert problem.plants.shape == (5, 60, 2, 2) and problem.response.models[1:] == (None,) * 4
     for plant in problem.plants:
-        np.testing.assert_allclose(plant, SAMPLES, rtol=1e-12)
+        assert_allclose(plant, SAMPLES, rtol=1e-12)
     np.testing.assert_array_equal(problem.radius, np.full(60, 0.1))
 
 
@@ -59,7 +60,7 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
     assert other.check([P, P]).rate == pytest.approx(one.certificate.rate, rel=1e-5)
-    np.testing.assert_allclose(*weights, rtol=1e-9)
+    assert_allclose(*weights, rtol=1e-9)
 
 
 def singular(dead):

@@ -1,24 +1,14 @@
-"""Which bounds on many plants are needed, against all of them at once."""
+"""How many bounds on several plants are needed; that they suffice: test_formulate."""
 
-import numpy as np
-import pytest
-from plants import random_response, sigma_of_M
+from plants import random_response
 from problems import posed
 
 from ilctools.synthesis.cuts import solve
-from ilctools.synthesis.formulate import formulate
-from ilctools.synthesis.solver.interior_point import minimise
 
 
-def test_a_handful_of_cuts_gives_the_optimum_of_all():
+def test_a_handful_of_cuts_is_enough():
     P, Q, omega = random_response(3, 2, 12)
-    plants, choices = [P, 0.7 * P, P @ np.diag([1.3, 0.7])], {"order": 3, "L_max": 8.0}
+    plants, choices = [P, 0.7 * P, 1.3 * P], {"order": 3, "L_max": 8.0}
     least = solve(posed(plants, Q, omega, 1.0, **choices, objective="peak")).largest
-    problem = posed(plants, Q, omega, 1.0, **choices, M_max=1.02 * least)
-    others = np.repeat([1, 2], len(omega))
-    every = formulate(problem, others, np.tile(np.arange(len(omega)), 2))
-    few, all_of_them = solve(problem), every.solution(minimise(every.program))
-    assert 0 < len(few.cuts.plant) < len(others) / 2
-    by_few, by_all = (sigma_of_M(omega, P, Q, problem.L(found)) for found in (few, all_of_them))
-    weights = problem.objective.weights
-    assert weights @ by_few == pytest.approx(weights @ by_all, rel=1e-6)
+    cuts = solve(posed(plants, Q, omega, 1.0, **choices, M_max=1.02 * least)).cuts
+    assert 0 < len(cuts.plant) < len(omega)  # of twice as many

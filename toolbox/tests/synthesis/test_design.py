@@ -1,49 +1,11 @@
 """Designs whose optimum is known, and what is said where there is none."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from paper import paper_choices
 from plants import lags, random_response
-from problems import posed
 
 from ilctools import InfeasibleError, synthesise
-from ilctools.errors import SolverError
-from ilctools.evidence.certificate import certify
 from ilctools.models import frequency_response
-from ilctools.synthesis.design import refuse_failures
-from ilctools.synthesis.everywhere import solve_everywhere
-
-
-@pytest.mark.parametrize(
-    ("factor", "complaint"),
-    [(1.001, r"sigma_max\(L\) is 50\.0[45]"), (0.9, "the relative duality gap is")],
-)
-def test_a_wrong_filter_is_not_returned(loop, Q, factor, complaint):
-    """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
-    omega = np.geomspace(1e-4, np.pi, 250)
-    problem = posed(loop, Q, omega, 1.0, **paper_choices(band=(1e-4, 0.01)))
-    grid, solution = solve_everywhere(problem)
-    refuse_failures(certify(problem, grid, solution))
-    dishonest = replace(solution, coefficients=solution.coefficients * factor)
-    with pytest.raises(SolverError, match=complaint):
-        refuse_failures(certify(problem, grid, dishonest))
-
-
-@settings(max_examples=5)
-@given(st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
-    """P = G z^-1 has the learning filter G^-1 z, with M = 0."""
-    G = np.random.default_rng(seed).standard_normal((m, m)) + 3 * np.eye(m)
-    omega = np.linspace(0.1, np.pi, 12)
-    P = G * np.exp(-1j * omega)[:, None, None]
-    arguments = {"order": 2, "L_max": None, "band": (0.1, 3), "structure": "full"}
-    design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
-    assert design.value < 1e-5
-    np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,7 @@ class Bound:
     def along_b(self):
         """Factor of b in the diagonal of S, (p + q,): zero in the rows of H."""
         p, q, _ = self.F.shape
-        row = np.arange(p + q)
-        return 1.0 - ((q <= row) & (row < p))
+        return np.repeat([1.0, 0.0, 1.0], [q, p - q, q])
 
     @property
     def along_d(self):

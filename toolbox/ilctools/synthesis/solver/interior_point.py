@@ -184,6 +184,8 @@ class Newton:
     """
 
     def __init__(self, p):
+        if not np.all(p.room > 0):
+            raise np.linalg.LinAlgError("rounding has moved t to its limit")
         self.p, self.X = p, [inverse(S) for S in p.S]
         self.zero = p.moved(p, -1, -1)
         self.system = NewtonSystem(p.program, self.X, p.Y, p.eta / p.room)

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
-from plants import lag, random_response
+from plants import LOOPS, lag, random_response
 from problems import memory, posed, statement
+from scipy.optimize import brentq
 
-from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
+from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.synthesis.design import certified
 from ilctools.synthesis.formulate import formulate
@@ -125,3 +126,21 @@ def test_a_failure_is_not_called_infeasible():
     with pytest.raises(RuntimeError, match=r"neither meet .* nor rule them out: rounding") as error:
         minimise(replace(program, bounds=huge))
     assert error.type is RuntimeError  # and not Infeasible
+
+
+def test_an_optimum_that_rounding_puts_on_its_bound_is_found():
+    """Of one coefficient, the largest with sigma_max(M) <= 0.9, which is a root."""
+    loop = LOOPS["stage"]()
+    low_pass = zero_phase_butterworth(2, 100.0, loop.Ts)
+    design = synthesise(loop, low_pass, order=1, L_max=8.0)
+    ahead = LearningFilter(np.ones((1, 1, 1)), loop.Ts, first=design.filter.first)
+    dense = np.geomspace(1.0, np.pi / loop.Ts, 20_000)
+    response = loop.frequency_response(dense) * ahead.frequency_response(dense)
+    Q = low_pass.frequency_response(dense)[:, None, None]
+
+    def above(gain):
+        return np.abs(Q * (1 - gain * response)).max() - 0.9
+
+    # between two frequencies of its grid, a design may pass M_max by 1e-5 (problem/grid.py)
+    largest = brentq(above, 0.9, 1.1)
+    np.testing.assert_allclose(design.filter.coefficients, largest, rtol=2e-5)
