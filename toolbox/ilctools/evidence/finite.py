@@ -21,10 +21,11 @@ from ilctools.signals import check_match
 SETTLED = 0.02  # share of the response to a disturbance that remains when a plant has settled
 SHORTEST_TRIAL, LONGEST_TRIAL = (50, 1000)  # samples; longer trials of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
-# After so many Lanczos rounds, of LANCZOS products each, the SVD replaces the iteration, if the
-# matrix has up to DENSE rows. The SVD takes no longer. The SVD is needed if many directions have
-# the same gain, such as the directions that a long delay keeps the plant from answering.
-ROUNDS, DENSE = 60, 1000
+# A matrix of up to SMALL columns is made dense, and its SVD is computed, which takes no longer than
+# two or three Lanczos rounds. A matrix of up to DENSE columns is made dense if a Lanczos iteration of
+# as many products has not converged. This happens if many directions have the same gain, such as
+# the directions that a long delay keeps the plant from answering.
+SMALL, DENSE = 300, 1000
 MOST_REACHED = 4000  # most numbers in v, for which the basis in learned_basis takes 10 s
 RANK_TOLERANCE = 1e-10  # of the largest singular value of Q_N L_N: smaller values are rounding
 
@@ -206,11 +207,11 @@ def learned_basis(Q: ZeroPhaseButterworth, L: Filter, samples: int, rest: int) -
 def _largest(T) -> tuple[float, np.ndarray, np.ndarray]:
     """Compute the largest singular value of T, its right singular vector x, and T x."""
     size = T.shape[1]
-    if size <= LANCZOS:
+    if size <= SMALL:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
     else:
         start = np.random.default_rng(0).standard_normal(size)  # the same numbers in every run
-        rounds = ROUNDS if size <= DENSE else None
+        rounds = 1 + size // LANCZOS if size <= DENSE else None  # of LANCZOS products each
         try:
             _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS, maxiter=rounds)
             before = vectors[:, 0]
