@@ -22,8 +22,8 @@ SETTLED = 0.02  # share of the response to a disturbance that remains when a pla
 SHORTEST_TRIAL, LONGEST_TRIAL = (50, 1000)  # samples; longer trials of several plants take seconds
 LANCZOS = 30  # vectors that the Lanczos iteration keeps: with 15 it takes half as long again
 # A matrix of up to SMALL columns is made dense, and its SVD is computed, which takes no longer than
-# two or three Lanczos rounds. A matrix of up to DENSE columns is made dense if a Lanczos iteration of
-# as many products has not converged. This happens if many directions have the same gain, such as
+# two or three Lanczos rounds. A matrix of up to DENSE columns is made dense if a Lanczos iteration
+# of as many products has not converged. This happens if many directions have the same gain, such as
 # the directions that a long delay keeps the plant from answering.
 SMALL, DENSE = 300, 1000
 MOST_REACHED = 4000  # most numbers in v, for which the basis in learned_basis takes 10 s
