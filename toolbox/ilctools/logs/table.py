@@ -116,19 +116,14 @@ def read_table(
     >>> log.attrs["Ts"], log.y.shape
     (0.5, (1, 3, 1))
     """
-    given = {
-        "outputs": outputs,
-        "inputs": inputs,
-        "reference": reference,
-        "v": v,
-        "disturbances": disturbances,
-        "measured": measured,
-    }
-    asked = {
-        argument: arguments.by_name(argument, columns, columns)
-        for argument, columns in given.items()
-        if columns is not None
-    }
+    asked = _asked(
+        outputs=outputs,
+        inputs=inputs,
+        reference=reference,
+        v=v,
+        disturbances=disturbances,
+        measured=measured,
+    )
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
@@ -140,6 +135,15 @@ def read_table(
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         Ts = arguments.sampling_period("Ts", Ts or mean_step(table))
         return trials_of(table, signals, Ts, notes)
+
+
+def _asked(**columns):
+    """Return the columns of each argument that was passed, checked."""
+    return {
+        argument: arguments.by_name(argument, given, given)
+        for argument, given in columns.items()
+        if given is not None
+    }
 
 
 def _frame_of(source, options):
