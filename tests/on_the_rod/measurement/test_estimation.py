@@ -5,8 +5,10 @@ import pytest
 from regions import KINDS, response, several, single
 from scipy.signal import lfilter
 
-from ilctools import measured_response
+from ilctools import measured_response, read_table, state_sequence
 from ilctools.law.notes import NO_RESET, RESET
+from ilctools.models import from_rest
+from rodlib.paper import ROOT
 
 
 def off(estimate, truth):
@@ -126,3 +128,25 @@ def test_records_without_enough_excitation_are_refused():
             measured_response(log, of)
     with pytest.raises(ValueError, match="uncertainty"):
         measured_response(whole, uncertainty=[0.1])
+
+
+@pytest.mark.filterwarnings("ignore:.*may not settle")  # half a record is short
+@pytest.mark.parametrize("name", ["board-1s", "board-3s"])
+def test_the_first_half_of_a_real_record_predicts_the_second(name):
+    """More than half of each output's variance, from the best state and offset at the middle."""
+    log = read_table(
+        ROOT / "data" / "tclab" / f"{name}.csv",
+        time=0,
+        inputs={"Q1": "Heater 1", "Q2": "Heater 2"},
+        outputs={"T1": "Temperature 1", "T2": "Temperature 2"},
+    )
+    middle = log.sizes["time"] // 2
+    model = measured_response(log.isel(time=slice(middle))).model()
+    u, y = log.u.values[0, middle:], log.y.values[0, middle:]
+    states = np.eye(model.nstates)
+    free = [state_sequence(model.A, 0 * u @ model.B.T, x) @ model.C.T for x in states]
+    offsets = [np.broadcast_to(one, y.shape) for one in np.eye(2)]
+    columns = np.reshape([*free, *offsets], (-1, y.size)).T
+    missed = (y - from_rest(model, u)).ravel()
+    left = np.reshape(missed - columns @ np.linalg.lstsq(columns, missed)[0], y.shape)
+    assert np.all(left.var(axis=0) < 0.45 * y.var(axis=0))
