@@ -409,7 +409,8 @@ def _realised(plant, name):
 
 def _without_delay(name, plant, i, j):
     """Split an entry of a transfer function into its delay in samples and a model without delay."""
-    num, den = plant.num[i][j], plant.den[i][j]
+    num = arguments.array(f"{name}.num[{i}][{j}]", plant.num[i][j], (...,))
+    den = arguments.array(f"{name}.den[{i}][{j}]", plant.den[i][j], (...,))
     num = np.append(np.trim_zeros(num[:-1], "f"), num[-1])
     delay = max(0, len(den) - max(len(num), len(np.trim_zeros(den, "b"))))
     size = 2.0 ** np.frexp(np.abs(num).max())[1]  # scipy takes a first number below 1e-14 for zero

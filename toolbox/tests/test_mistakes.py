@@ -81,6 +81,10 @@ REFUSED = {  # what the error says, and a call
     "P is real at each frequency, .* or in dB": lambda: synthesise(np.abs(P), Q, OMEGA),
     # arrays and models of python-control
     "P is a table .* synthesise takes the table": lambda: ClosedLoop(TABLE),
+    r"P.num\[0\]\[0\] has 1 values that are not finite": lambda: synthesise(
+        control.tf([np.nan], [1, -0.5], TS)
+    ),
+    r"loop is a model, .* pass ClosedLoop\(model\)": lambda: run_trials(LAG, LAW, MOVE),
     r"signal has shape \(2, 30\), but must": lambda: IN_MS.apply(np.ones((2, 30))),
     "(?s:.*)as control.frd(?s:.*)log, omega, Ts": lambda: measured_response(TABLE.frdata),
     # numbers that no plant has

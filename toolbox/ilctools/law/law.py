@@ -25,7 +25,7 @@ from ilctools.law.output_limits import OutputLimits
 from ilctools.law.output_program import Commands
 from ilctools.law.output_spread import PAST, Done
 from ilctools.law.output_step import Step
-from ilctools.loop.closed import Loop, same_loop
+from ilctools.loop.closed import Loop, check_loop, same_loop
 from ilctools.signals import Signals, check_match
 
 
@@ -111,7 +111,7 @@ class Law:
         if self.L is not None:
             check_learning(self.L)
         if self.loop is not None:
-            arguments.instance("loop", self.loop, Loop)
+            check_loop(self.loop)
             self._refuse_outputs()
         check_match(Q=self.Q, L=self.L, law=self.labels, loop=self.loop)
         vars(self).update(
@@ -211,7 +211,7 @@ class Law:
 
         If the law is for another loop, a ValueError is raised.
         """
-        arguments.instance("loop", loop, Loop)
+        check_loop(loop)
         if self.loop is None:
             return replace(self, loop=loop)
         if not same_loop(self.loop, loop):

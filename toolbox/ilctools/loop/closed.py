@@ -537,6 +537,17 @@ class ClosedLoop:
         return frequency_response(self.model(plant)[:, self.learned], omega)
 
 
+def check_loop(value) -> Loop:
+    """Check that a value is a loop."""
+    if isinstance(value, control.LTI):
+        raise ValueError(
+            "loop is a model, but must be a Loop: if the model leads from references to the "
+            "outputs of a closed loop, pass ClosedLoop(model). If the plant has no controller yet, "
+            "pass current_trial_loop(plant, controls)"
+        )
+    return arguments.instance("loop", value, Loop)
+
+
 def same_loop(loop: Loop, other: Loop) -> bool:
     """Whether two loops are equal to the last digit, including their names and units."""
     if not (is_dataclass(loop) and type(loop) is type(other)):

@@ -10,7 +10,7 @@ from scipy.fft import next_fast_len
 
 from ilctools import arguments
 from ilctools.law.notes import read_note, with_loop
-from ilctools.loop.closed import Loop
+from ilctools.loop.closed import Loop, check_loop
 from ilctools.signals import Signals, check_match
 
 CLIPPING_ROUNDS = 300  # in the search for low peaks; with three times as many, peaks are 3 % lower
@@ -144,7 +144,7 @@ def multisine(
     >>> shaking.signals.shape[0], shaking.hours <= 8  # two realisations of two experiments
     (4, True)
     """
-    Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.learned)
+    Ts, m = check_loop(loop).Ts, len(loop.learned)
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)

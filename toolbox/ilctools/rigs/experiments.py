@@ -9,7 +9,7 @@ from ilctools import arguments
 from ilctools.filters import Filter
 from ilctools.law.law import Law
 from ilctools.law.notes import BEGUN, BETWEEN, NO_RESET, RESET, with_law
-from ilctools.loop.closed import Loop
+from ilctools.loop.closed import Loop, check_loop
 from ilctools.measurement.excitation import Excitation, with_excitation
 from ilctools.norm_optimal import NormOptimal
 from ilctools.rigs.description import RigDescription, described
@@ -252,7 +252,7 @@ def shake(
     >>> P.response.shape[0] == len(P.omega)
     True
     """
-    arguments.instance("loop", loop, Loop)
+    check_loop(loop)
     shaken = arguments.instance("excitation", excitation, Excitation).signals
     reference = np.zeros((*shaken.shape[:2], len(loop.outputs)))
     # If inputs are no references, they do not show how far outputs may change.
