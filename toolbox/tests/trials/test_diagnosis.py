@@ -8,6 +8,7 @@ from functools import cache
 import control
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants import PUMPS, RestartingModel, altered, bump, furnace, tanks
@@ -31,8 +32,16 @@ from ilctools import (
     transfer,
     zero_phase_butterworth,
 )
-from ilctools.trials.diagnosis import chance, chance_of_excess, diagnose, known_plants, unexplained
-from ilctools.trials.rms import rms_by_octave
+from ilctools.signals import TRIAL_AXES
+from ilctools.trials.diagnosis import (
+    chance,
+    chance_of_excess,
+    diagnose,
+    error_grows,
+    known_plants,
+    unexplained,
+)
+from ilctools.trials.rms import rms_by_octave, rms_of
 
 OMEGAS = np.geomspace(1e-4, np.pi, 200)
 
@@ -331,3 +340,14 @@ def test_a_plant_is_judged_by_the_mean_model_in_a_law_that_was_read(tmp_path, ga
     diagonal = synthesise(coupled(), LOW, structure="diagonal")
     assert len(known_plants(diagonal.law())) == 1
     assert not known_plants(of_file(diagonal.law(), tmp_path))
+
+
+@pytest.mark.parametrize("broad", [True, False])
+def test_a_jump_of_few_degrees_of_freedom_may_be_chance(broad):
+    """Of a slow sine, four times the error is no evidence; of many harmonics, it is."""
+    sine = np.sin(2 * np.pi * np.arange(400) / 400)
+    error = lfilter([1.0], [1.0, -0.9], white(0, 400)) if broad else sine
+    e = np.array([1.0, 4.0])[:, None, None] * error[:, None]
+    signals = {name: (TRIAL_AXES, 0 * e) for name in ("reference", "forgotten", "learned")}
+    trials = xr.Dataset({"e": (TRIAL_AXES, e), **signals}, {"trial": [1, 2]})
+    assert bool(error_grows(trials.assign(rms=rms_of(trials.e)))) == broad
