@@ -185,9 +185,18 @@ def modes(rng, damped=0.03):
     return b * a.sum() / np.abs(b.sum()), a
 
 
-def flexible(rng, N=1500, damped=0.03, noise=NOISE):
+def weak_mode(rng):
+    """A mode, and next to it a weaker one, both damped by 0.005 to 0.01."""
+    natural = rng.uniform(0.3, 1.0)
+    large, (b, a) = (
+        resonant(natural * ratio, rng.uniform(0.005, 0.01)) for ratio in (1, rng.uniform(1.04, 1.2))
+    )
+    return beside(large, (rng.uniform(0.2, 0.7) * b, a))
+
+
+def flexible(rng, N=1500, make=modes, noise=NOISE):
     """A structure with lightly damped modes, moved by white noise."""
-    plant, u = modes(rng, damped), white(rng, N, 1.0)
+    plant, u = make(rng), white(rng, N, 1.0)
     y = lfilter(*plant, u)
     return single(u, y + white(rng, N, noise * y.std())), [[plant]]
 
@@ -286,7 +295,8 @@ KINDS = {
     "known disturbances": disturbed,
     **CURVED,
     "outputs with a common noise": partial(two, common=0.8),
-    "CD arm": partial(flexible, damped=0.02, noise=0.1),
+    "CD arm": partial(flexible, make=partial(modes, damped=0.02), noise=0.1),
+    "a weak mode": partial(flexible, N=1200, make=weak_mode, noise=0.1),
 }
 
 

@@ -53,7 +53,7 @@ from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
 
-FACTOR, JOINT = 0.85, 1.3  # factors of radii, at each frequency and at all of them
+FACTOR, JOINT = 0.85, 1.36  # factors of radii, at each frequency and at all of them
 INDEPENDENT = 50  # number of independent frequencies, by which p is divided for all frequencies
 HANKEL_ROWS = 300  # samples; also the largest number of states of a model
 ROUNDING_OF_HANKEL = 1e-12  # relative to the largest singular value: smaller ones are rounding
@@ -280,6 +280,11 @@ class EstimatedResponse(Measured):
         contradicts, by = bool(likely[worst] > 1), apart[worst] / largest_singular_values(P)[worst]
         return Agreement(contradicts, float(contradicts * by))
 
+    def _resonances(self):
+        """State how many resonances the regressions have, for the assumptions."""
+        found = [len(fit.data.layout.resonances) for fit in self.fits]
+        return f", and with resonant parts at {sum(found)} frequencies" if any(found) else ""
+
     def _basis(self, omega, confidence):
         lines = [
             f"P is estimated from {self.record}; the true P is within the radius with "
@@ -287,7 +292,7 @@ class EstimatedResponse(Measured):
             Assumed(
                 "the plant is linear and constant, and A(z) y = B(z) u describes it, with "
                 f"{self.fits[0].data.layout.lags} past samples in A and, after a delay, in B, "
-                "and with two slow parts"
+                f"and with two slow parts{self._resonances()}"
             ),
         ]
         if not self.known.all():

@@ -11,7 +11,7 @@ lag to lag, the covariance is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-where gap is the distance to the next lag. For slow parts (see `unknowns`) and the steps of a drift,
+where gap is the distance to the next lag. For parts (see `parts`) and the steps of a drift,
 D = c. For the response to the initial condition, D decays only from the longest delay of an input
 on, because this response includes the effect of an input that had another value before the trial.
 The noise e is white with variance s^2.
@@ -35,7 +35,7 @@ class Hyperparameters(NamedTuple):
     log_c_DRIFT: float
     log_T: float  # T in samples
     rho: float  # a mean over trials, in which a disturbance may repeat, weighs 1 / (1 + exp(rho))
-    log_c_SLOW: float
+    log_c_PART: float
 
 
 NAMES = Hyperparameters._fields
@@ -65,7 +65,7 @@ ASSUMED = Hyperparameters(
     rho=Assumed(0.0),  # as much of the noise repeats as not
     # A twentieth of the size of the output, within a factor of 1.3. The data hardly
     # distinguish the motion of a slow part from a drift.
-    log_c_SLOW=Assumed(-5.8, width=0.5, of_output=True),
+    log_c_PART=Assumed(-5.8, width=0.5, of_output=True),
 )
 CENTRE, WIDTH, OF_OUTPUT = np.array(ASSUMED).T
 # Searches start from these guesses, without a drift and with one. log s^2 = -6 is noise of 5 % of

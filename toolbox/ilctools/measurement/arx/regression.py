@@ -9,12 +9,14 @@ P = B / A. Each step has a module in this folder:
 
 =============  =====================================================================  ==========
 trials         the mean of trials and their differences, one by one
-unknowns       what is estimated: A, each B with slow parts, starts and drifts        (1)
+unknowns       what is estimated: A, each B with its parts, starts and drifts         (1)
+parts          slow parts and resonant parts of each B                                (7)
 regressors     the columns X of the unknowns, and the products X' X and X' y
 prior          variances of the unknowns, by hyperparameters eta                      (2)
 posterior      mean and covariance of the unknowns, at one eta                        (3)
 likelihood     the likelihood of eta, its gradient and its maximum                    (4)
 delay          the delay of each input, chosen by the posterior
+resonances     resonances that the residual shows
 quadrature     the covariance of the unknowns over eta                                (5)
 regression     P, and the covariance of its error                                     (6)
 =============  =====================================================================  ==========
@@ -37,6 +39,7 @@ from ilctools.measurement.arx.likelihood import polished
 from ilctools.measurement.arx.posterior import Posterior, posterior
 from ilctools.measurement.arx.quadrature import covariance
 from ilctools.measurement.arx.regressors import Data
+from ilctools.measurement.arx.resonances import with_resonances
 from ilctools.measurement.arx.trials import Trials
 from ilctools.measurement.arx.unknowns import Kind, coefficients
 
@@ -96,10 +99,7 @@ class Regression:
     @property
     def denominator(self) -> np.ndarray:
         """The coefficients of the estimate of A, from lag 0 on."""
-        layout = self.data.layout
-        past = coefficients(self.mean[layout.where(Kind.A)], layout.knots_of_A, layout.lags + 1)
-        past[0] = 1.0  # A is monic
-        return past
+        return self.data.layout.denominator(self.mean)
 
     @property
     def stable(self) -> bool:
@@ -127,11 +127,10 @@ class Regression:
 
         The m commanded inputs stand first, and the d known disturbances stand last.
         """
-        layout, poles, B = self.data.layout, self.data.layout.poles, []
+        layout, B = self.data.layout, []
         for j, knots in enumerate(layout.knots_of_B):
             B.append(coefficients(self.mean[layout.where(Kind.B, j)], knots, n))
-            slow = self.mean[layout.where(Kind.SLOW, j)]
-            B[j][1:] += slow * (1 - poles) @ poles[:, None] ** np.arange(n - 1)
+            B[j][1:] += self.mean[layout.where(Kind.PART, j)] @ layout.parts.impulses(n - 1)
         return np.array(B)
 
     def impulse(self, n: int) -> np.ndarray:
@@ -166,12 +165,14 @@ def regression(groups: Sequence[Trials], direct: bool, delays=0, gain=()) -> Reg
 
     `direct` says whether y(t) may depend on the commanded inputs at the same time t, or at t minus
     their delay, and not only on earlier inputs. `delays` are the least delays of the commanded
-    inputs in samples, (m,). Larger delays are tried if correlations show them. `gain` is P at zero
+    inputs in samples, (m,). Larger delays are tried if correlations show them. Resonant parts are
+    added if the residual shows them. `gain` is P at zero
     frequency, (m,), or empty if this is not known.
     """
     commanded = groups[0].commanded
     least = np.zeros(groups[0].u.shape[2], int)  # no delay of a known disturbance is known
     least[:commanded] = delays
-    best, S = polished(with_delays(groups, direct, least, gain))
+    fit = with_delays(groups, direct, least, gain)
+    best, S = polished(with_resonances(fit, groups, direct, gain))
     at = posterior(best.eta, best.data)
     return Regression(commanded, at.mean, best.data, at, covariance(best.eta, S, best.data))

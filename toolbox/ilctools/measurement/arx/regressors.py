@@ -4,7 +4,7 @@ A series is the mean of trials or a difference between them, see `trials`. T(u) 
 lagged samples of u, and `unknowns` defines H. A drift is straight between samples that are called
 knots, and consists of ramps from knot to knot. Then
 
-    X = [-T(y) H, T(u_1) H, ..., T(u_m) H, slow parts, T(1, 0, 0 ...) H, ramps].
+    X = [-T(y) H, T(u_1) H, ..., T(u_m) H, parts, T(1, 0, 0 ...) H, ramps].
 
 The line of (1), an offset and a slope of each series, is removed from X and y beforehand. The later
 steps need X' X, X' y and y' y, but not X. These products are added up series by series.
@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import lfilter
 
 from ilctools.measurement.arx.trials import Series, Trials, series_of
 from ilctools.measurement.arx.unknowns import DRIFT_KNOTS, Kind, Layout, layout_of
@@ -34,10 +33,10 @@ class Regressors:
     def __init__(self, series: Series, layout: Layout):
         self.samples, self.layout = len(series.y), layout
         self._lagged = [(layout.where(Kind.A), Lagged(-series.y, layout.knots_of_A))]
-        self._slow = []
+        self._parts = []
         for j, (u, knots) in enumerate(zip(series.u.T, layout.knots_of_B, strict=True)):
             self._lagged.append((layout.where(Kind.B, j), Lagged(u, knots)))
-            self._slow.append((layout.where(Kind.SLOW, j), _slow_parts(u, layout.poles)))
+            self._parts.append((layout.where(Kind.PART, j), layout.parts.answers(u)))
         if not layout.skipped:
             start = Lagged(np.eye(1, self.samples)[0], layout.knots_of_start)
             self._lagged.append((layout.where(Kind.START, series.key), start))
@@ -49,21 +48,13 @@ class Regressors:
         X = np.zeros((self.layout.size, end - begin))
         for where, lagged in self._lagged:
             lagged.write(X[where], begin)
-        for where, slow in self._slow:
-            X[where] = slow[:, begin:end]
+        for where, answers in self._parts:
+            X[where] = answers[:, begin:end]
         if self._drifts:  # from zero before a knot to one at the next knot
             ends = np.linspace(0, self.samples - 1, DRIFT_KNOTS + 1)
             ramps = np.clip((np.arange(begin, end) - ends[:-1, None]) / ends[1], 0, 1)
             X[self.layout.where(Kind.DRIFT, self._group)] = ramps
         return X
-
-
-def _slow_parts(u, poles):
-    """Compute the response (1 - p) / (z - p) u for each pole p.
-
-    The result has the shape (pole, time).
-    """
-    return np.array([lfilter([0, 1 - p], [1, -p], u) for p in poles])
 
 
 class Lagged:
@@ -137,7 +128,7 @@ def _products(regressors, beside):
     These are the products Z Z' after an offset and a slope are removed from the rows of Z.
     """
     skipped = regressors.layout.skipped
-    line = np.linalg.qr(np.vander(np.linspace(-1, 1, beside.shape[1] - skipped), 2))[0]
+    line = line_of(beside.shape[1] - skipped)
     products, on_line = 0.0, 0.0
     for begin in range(skipped, beside.shape[1], STRETCH):
         end = min(begin + STRETCH, beside.shape[1])
@@ -147,13 +138,24 @@ def _products(regressors, beside):
     return products - on_line @ on_line.T
 
 
-def data_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray, gain=()) -> Data:
+def line_of(samples: int) -> np.ndarray:
+    """Compute an orthonormal basis of all offsets and slopes, shape (samples, 2)."""
+    return np.linalg.qr(np.vander(np.linspace(-1, 1, samples), 2))[0]
+
+
+def data_of(
+    groups: Sequence[Trials],
+    direct: bool,
+    delays: np.ndarray,
+    gain: Sequence[float] = (),
+    resonances: Sequence[float] = (),
+) -> Data:
     """Compute the products of trials for given delays.
 
-    `layout_of` explains `direct`. `delays` are the delays of all inputs, (m + d,). `gain` is P at
-    zero frequency, (m,), or empty if this is not known.
+    `layout_of` explains `direct` and `resonances`. `delays` are the delays of all inputs, (m + d,).
+    `gain` is P at zero frequency, (m,), or empty if this is not known.
     """
-    layout = layout_of(groups, direct, delays)
+    layout = layout_of(groups, direct, delays, resonances)
     data = products(groups, layout)
     for j, known in enumerate(gain):
         data = data._replace(single=data.single + _at_rest(layout, j, known))

@@ -3,13 +3,10 @@
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
 A is monic. The number of lags of A and of each B is a quarter of the samples of the longest trial.
-The lags of a B are counted from the delay of its input. A series is the mean of trials or a
-difference between them, see `trials`. A start is the response to signals before a series, and has
-the same number of lags. A line is an offset and a slope of a series. A drift is a random walk. In
-addition to its lags, each B has slow parts x (1 - p) / (z - p). The time constant of one slow part
-is the length of the longest trial. The time constant of the other one is a third of this length. A
-plant may have a small part that is far slower than its other dynamics. Without slow parts, the
-regression would treat this part as drift, and would not see the error.
+The lags of a B are counted from the delay of its input. In addition to its lags, each B has parts
+with poles of their own, see `parts`. A series is the mean of trials or a difference between them,
+see `trials`. A start is the response to signals before a series, and has the same number of lags. A
+line is an offset and a slope of a series. A drift is a random walk.
 
 The unknowns of a response are its increments from lag to lag. Several successive lags may share one
 increment: the coefficients lie on straight lines between *knots*. The coefficients are H x, where x
@@ -26,14 +23,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import diric
 
+from ilctools.measurement.arx.parts import Parts
 from ilctools.measurement.arx.trials import Trials, keys_of, longest_of
 
 # The longest trial has SHARE_OF_LAGS times as many samples as A and B have lags. More lags cost
 # time. Fewer lags truncate the responses of slow plants.
 SHARE_OF_LAGS = 4
 FEWEST_LAGS = 4
-# Inverse time constants of slow parts, in 1 / (the longest trial), found by counting.
-TIME_CONSTANTS = np.array([1.0, 3.0])
 # Knots are one lag apart up to lag CLOSE_KNOTS, then 1 + (lag - CLOSE_KNOTS) // KNOTS_STEP. This
 # distance is up to an eighth of the lag, and saves time. The knots of starts are coarser.
 CLOSE_KNOTS, KNOTS_STEP = 40, 8
@@ -51,14 +47,14 @@ class Kind(IntEnum):
     B = 1  # increments of the B of an input
     START = 2  # increments of the response to what was before a series
     DRIFT = 3  # steps of the drift of a group
-    SLOW = 4  # slow parts of the B of an input
+    PART = 4  # parts of the B of an input, which have poles of their own
 
 
 class Block(NamedTuple):
     """Unknowns that belong together, and the lag of each unknown in (2) of `prior`."""
 
     kind: Kind
-    owner: Hashable  # the input of B and slow parts, the key of a series, the position of a group
+    owner: Hashable  # the input of B and parts, the key of a series, the position of a group
     lag: np.ndarray  # (unknown,)
     gap: np.ndarray  # (unknown,): distance to the next lag; infinite at the last
 
@@ -78,7 +74,7 @@ class Block(NamedTuple):
 class Layout:
     """The unknowns x, block by block, and the lags that they represent.
 
-    The block of A stands first, and then the block of each B. The blocks of slow parts, starts and
+    The block of A stands first, and then the block of each B. The blocks of parts, starts and
     drifts follow.
     """
 
@@ -87,7 +83,8 @@ class Layout:
     knots_of_B: tuple[np.ndarray, ...]  # lags of each input
     knots_of_start: np.ndarray  # samples after the beginning of a series
     delays: np.ndarray  # of all inputs, samples
-    poles: np.ndarray  # of slow parts
+    parts: Parts  # of each B
+    resonances: np.ndarray  # angles omega Ts at which B has resonant parts
     skipped: int  # samples left out at the beginning of each series, if it has no start
 
     @cached_property
@@ -123,13 +120,19 @@ class Layout:
         return self._places[kind, owner]
 
     def where_B(self, j: int) -> np.ndarray:
-        """Return where the increments, and then the slow parts, of the B of input j stand in x."""
-        return np.r_[self.where(Kind.B, j), self.where(Kind.SLOW, j)]
+        """Return where the increments, and then the parts, of the B of input j stand in x."""
+        return np.r_[self.where(Kind.B, j), self.where(Kind.PART, j)]
 
     @property
     def lags(self) -> int:
         """The number of lags of A."""
         return self.knots_of_A[-1]
+
+    def denominator(self, x: np.ndarray) -> np.ndarray:
+        """Compute the coefficients of A from the unknowns x, from lag 0 on."""
+        past = coefficients(x[self.where(Kind.A)], self.knots_of_A, self.lags + 1)
+        past[0] = 1.0  # A is monic
+        return past
 
     def waves_of_A(self, omega: np.ndarray) -> np.ndarray:
         """Compute what each unknown of A adds to A - 1 at n angles omega Ts.
@@ -143,15 +146,17 @@ class Layout:
 
         The result has the shape (n, unknown).
         """
-        slow = (1 - self.poles) / (np.exp(1j * omega)[:, None] - self.poles)
-        return np.hstack([waves(self.knots_of_B[j], omega), slow])
+        return np.hstack([waves(self.knots_of_B[j], omega), self.parts.waves(omega)])
 
 
-def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Layout:
+def layout_of(
+    groups: Sequence[Trials], direct: bool, delays: np.ndarray, resonances: Sequence[float] = ()
+) -> Layout:
     """Make the layout of the unknowns for these trials.
 
     `direct` says whether y(t) may depend on the commanded inputs at the same time t, or at t minus
     their delay, and not only on earlier inputs. `delays` are the delays of all inputs, (m + d,).
+    Each B has resonant parts at the angles omega Ts of `resonances`.
     """
     longest, commanded = longest_of(groups), groups[0].commanded
     reach = max(FEWEST_LAGS, longest // SHARE_OF_LAGS)
@@ -164,15 +169,16 @@ def layout_of(groups: Sequence[Trials], direct: bool, delays: np.ndarray) -> Lay
     keys, late = keys_of(groups), max(delays)
     start = _knots_of_start(len(keys), late, reach)
     has_starts = len(keys) * len(start) <= MOST_OF_STARTS
-    poles = np.exp(-TIME_CONSTANTS / longest)
+    parts = Parts.of(longest, resonances)
     blocks = (
         Block.of_lags(Kind.A, None, past),
         *(Block.of_lags(Kind.B, j, knots) for j, knots in enumerate(knots_of_B)),
-        *(Block.alike(Kind.SLOW, j, len(poles)) for j in range(len(delays))),
+        *(Block.alike(Kind.PART, j, parts.size) for j in range(len(delays))),
         *(Block.of_lags(Kind.START, key, start, late) for key in keys if has_starts),
         *(Block.alike(Kind.DRIFT, i, DRIFT_KNOTS) for i in range(len(groups))),
     )
-    return Layout(blocks, past, knots_of_B, start, delays, poles, 0 if has_starts else reach)
+    skipped = 0 if has_starts else reach
+    return Layout(blocks, past, knots_of_B, start, delays, parts, np.array(resonances), skipped)
 
 
 def _knots_of_start(series: int, late: int, reach: int) -> np.ndarray:

@@ -8,14 +8,14 @@ from ilctools.measurement.arx.regressors import Lagged
 from ilctools.measurement.arx.unknowns import Kind, layout_of
 
 ETA = Hyperparameters(
-    log_c_A=0.1, log_c_B=0.7, log_c_START=0.2, log_c_DRIFT=0.4, log_T=2.0, rho=0.0, log_c_SLOW=0.3
+    log_c_A=0.1, log_c_B=0.7, log_c_START=0.2, log_c_DRIFT=0.4, log_T=2.0, rho=0.0, log_c_PART=0.3
 )
 
 
 def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_delay():
     layout = layout_of([trials_of(1)], True, np.array([7, 2]))
     D = np.exp(prior(ETA, layout).log_D)
-    np.testing.assert_allclose(D[layout.where(Kind.SLOW, 0)], np.exp(0.3))
+    np.testing.assert_allclose(D[layout.where(Kind.PART, 0)], np.exp(0.3))
     np.testing.assert_allclose(D[layout.where(Kind.DRIFT, 0)], np.exp(0.4))
     for kind, owner, log_c, knots in (
         (Kind.B, 0, 0.7, layout.knots_of_B[0]),

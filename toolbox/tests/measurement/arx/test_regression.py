@@ -7,16 +7,17 @@ from records import dense, trials_of
 from scipy.signal import detrend
 
 from ilctools.measurement.arx.regression import regression
+from ilctools.measurement.arx.regressors import data_of
 from ilctools.measurement.arx.unknowns import Kind
 
 
 def test_regressors_impulse_and_frequency_response_are_those_of_one_model():
-    """Slow parts among them, of a size that counts; A is one."""
+    """Slow and resonant parts among them, of a size that counts; A is one."""
     groups = [trials_of(1)]
-    fit, omega = regression(groups, direct=True), np.linspace(0.01, 3, 20)
-    layout, rng = fit.data.layout, np.random.default_rng(0)
-    x = rng.standard_normal(len(fit.mean)) * np.isin(layout.kind, [Kind.B, Kind.SLOW])
-    model = replace(fit, mean=x)
+    data, omega = data_of(groups, True, np.zeros(2, int), (), [0.5]), np.linspace(0.01, 3, 20)
+    layout, rng = data.layout, np.random.default_rng(0)
+    x = rng.standard_normal(layout.size) * np.isin(layout.kind, [Kind.B, Kind.PART])
+    model = replace(regression(groups, direct=True), mean=x, data=data)
     y = sum(
         np.convolve(u, g)[:60] for u, g in zip(groups[0].u[0].T, model.impulse(60), strict=True)
     )

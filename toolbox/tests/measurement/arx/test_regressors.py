@@ -14,7 +14,7 @@ from ilctools.measurement.arx.unknowns import Kind, coefficients, layout_of
 def test_each_regressor_is_the_response_to_a_signal():
     """By convolution with the coefficients of one increment; ramps by hand."""
     groups = [trials_of(2)]
-    layout = layout_of(groups, True, np.array([0, 7]))
+    layout = layout_of(groups, True, np.array([0, 7]), resonances=[0.4])
     for series in series_of(groups):
         X = Regressors(series, layout).rows()
 
@@ -27,9 +27,10 @@ def test_each_regressor_is_the_response_to_a_signal():
         )
         late = moved(series.u[:, 1], layout.knots_of_B[1], 3)
         np.testing.assert_allclose(X[layout.where(Kind.B, 1)][3], late, atol=1e-12)
-        p = np.exp(-3 / 60)  # a third of a trial
+        parts, p = X[layout.where(Kind.PART, 0)], np.exp(-3 / 60)  # a third of a trial
         slow = lfilter([0, 1 - p], [1, -p], series.u[:, 0])
-        np.testing.assert_allclose(X[layout.where(Kind.SLOW, 0)][1], slow, atol=1e-12)
+        np.testing.assert_allclose(parts[1], slow, atol=1e-12)
+        np.testing.assert_allclose(parts, layout.parts.answers(series.u[:, 0]), atol=1e-12)
         own, others = (X[layout.where(Kind.START, key)] for key in ((0, 0), (0, 1)))
         own, others = (own, others) if series.is_mean else (others, own)
         pulse = moved(np.eye(1, 60)[0], layout.knots_of_start, 2)
