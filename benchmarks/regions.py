@@ -2,7 +2,7 @@
 
 Plants and records are drawn by seed. A kind has a log or several, the plants behind them, and
 further arguments of the estimate. Of CURVED kinds, which are not one linear plant, only the
-warnings count. A minute a kind at most on one core.
+warnings count. Up to five minutes a kind on one core.
 """
 
 import time

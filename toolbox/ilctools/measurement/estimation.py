@@ -282,8 +282,8 @@ class EstimatedResponse(Measured):
 
     def _resonances(self):
         """State how many resonances the regressions have, for the assumptions."""
-        found = [len(fit.data.layout.resonances) for fit in self.fits]
-        return f", and with resonant parts at {sum(found)} frequencies" if any(found) else ""
+        found = np.unique([angle for fit in self.fits for angle in fit.data.layout.resonances])
+        return f", and with resonant parts at {len(found)} frequencies" if len(found) else ""
 
     def _basis(self, omega, confidence):
         lines = [

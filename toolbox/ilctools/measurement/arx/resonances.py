@@ -3,18 +3,19 @@
 By the prior, coefficients decay over some samples. A lightly damped resonance decays far more
 slowly. If its peak is below the noise, or next to a larger peak, the regression smooths the peak,
 and its radius does not show this error. The residual of the regression then depends on the input.
-This is tested at a grid of frequencies (residual analysis, L. Ljung, System Identification, 1999,
-section 16.6). The test is the score test (1) and (2) in :mod:`..consistency`, whose columns Z are
-the answers of the resonant parts, filtered by A, to all inputs.
+A test at each frequency of a grid shows this dependence (residual analysis, L. Ljung, System
+Identification, 1999, section 16.6). The test is the score test (1) and (2) in
+:mod:`..consistency`. Its columns Z are the answers of the resonant parts to all inputs, filtered by
+A.
 
 A frequency is noticeable if F has a peak there that is larger than chance allows. A finer grid
 around the peak gives the frequency of the resonance. The regression gets resonant parts (see
 `parts`) at the frequencies of the highest peaks, and the test is repeated with the new residual.
 
-*Where the test is not made.* In several trials of a group, an input may follow from the output of an
-earlier trial, as in learning. What repeats in the outputs is then in the inputs, too, and the
-residual depends on the input without a resonance. In very long trials the test would take too much
-time.
+*Where the test is not made.* In learning, the input of a trial follows from the outputs of earlier
+trials of its group, and therefore contains what repeats in the outputs. The residual then depends
+on the input even without a resonance. Groups of several trials are not tested for this reason. In
+very long trials the test would take too much time.
 """
 
 from collections.abc import Sequence
@@ -39,7 +40,7 @@ LOWEST = 40.0
 MOST_AT_ONCE = 6  # resonances that one test may add, because they take time
 SAMPLES_PER_FREQUENCY = 4  # of the longest trial, for each frequency that is tested
 LONGEST_TESTED = 4096  # samples of a trial, because the time grows with their square
-FINER = np.linspace(-0.5, 0.5, 9)  # around each of them, in steps of the grid
+FINER = np.linspace(-0.5, 0.5, 9)  # the finer grid around a peak, in steps of the first grid
 FREQUENCIES_AT_ONCE = 64  # whose columns Z are in memory together
 DEPENDENT = 1e-9  # relative to Z' W Z: a smaller J is rounding
 
