@@ -281,9 +281,10 @@ class EstimatedResponse(Measured):
         return Agreement(contradicts, float(contradicts * by))
 
     def _resonances(self):
-        """State how many resonances the regressions have, for the assumptions."""
-        found = np.unique([angle for fit in self.fits for angle in fit.data.layout.resonances])
-        return f", and with resonant parts at {len(found)} frequencies" if len(found) else ""
+        """State at which frequencies the regressions have resonant parts, for the assumptions."""
+        found = np.concatenate([fit.data.layout.resonances for fit in self.fits])
+        words = dict.fromkeys(f"{omega:.3g}" for omega in np.sort(found / self.loop.Ts))
+        return f", and with resonant parts at {', '.join(words)} rad/s" if words else ""
 
     def _basis(self, omega, confidence):
         lines = [

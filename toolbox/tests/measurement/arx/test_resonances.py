@@ -40,7 +40,7 @@ def test_a_weak_mode_next_to_a_large_one_is_within_the_region(monkeypatch):
     found = estimate.fits[0].data.layout.resonances
     assert np.abs(found - 0.47).min() < 5 / 1000
     assert distance(estimate, P) < 1
-    assert f"resonant parts at {len(np.unique(found))} frequencies" in str(estimate)
+    assert f"and with resonant parts at {found[0]:.3g} rad/s" in str(estimate)
     monkeypatch.setattr(resonances, "TESTS", 0)
     assert distance(measured_response(log_of(u, y)), P) > 4
 
