@@ -11,19 +11,19 @@ PARTS = Parts.of(N, np.array([ANGLE]))
 
 
 def test_parts_answer_as_difference_equations_do():
-    """One unknown of each slow part; the cosines of both rates, and then the sines."""
+    """One unknown of each slow part; the cosines of three rates, and then the sines."""
     u = np.random.default_rng(0).standard_normal(N)
     found = PARTS.answers(u)
-    assert PARTS.size == len(found) == 2 + 2 * 2
+    assert PARTS.size == len(found) == 2 + 2 * 3
     for row, rate in zip(found, (1, 3), strict=False):
         p = np.exp(-rate / N)
         np.testing.assert_allclose(row, lfilter([0, 1 - p], [1, -p], u), atol=1e-12)
-    for k, rate in enumerate((2, 8)):
+    for k, rate in enumerate((2, 4, 8)):
         r = np.exp(-rate / N)
         g, a = 40 * (1 - r), [1, -2 * r * np.cos(ANGLE), r**2]
         cosine = lfilter([0, g, -g * r * np.cos(ANGLE)], a, u)
         sine = lfilter([0, 0, g * r * np.sin(ANGLE)], a, u)
-        np.testing.assert_allclose(found[[2 + k, 4 + k]], [cosine, sine], atol=1e-9)
+        np.testing.assert_allclose(found[[2 + k, 5 + k]], [cosine, sine], atol=1e-9)
 
 
 def test_impulse_and_frequency_responses_are_those_of_the_answers():
