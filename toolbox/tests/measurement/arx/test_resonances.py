@@ -106,6 +106,8 @@ def test_the_highest_peak_comes_first_and_none_is_below_the_lowest_frequency(mon
     np.testing.assert_allclose(both, [0.5, 0.45], atol=0.002)
     monkeypatch.setattr(resonances, "MOST_AT_ONCE", 1)
     np.testing.assert_array_equal(noticeable(fit, groups), both[:1])
+    again = with_resonances(fit, groups, True).data.layout.resonances
+    assert again[0] == both[0] and again.size == 2  # one by each test
     monkeypatch.setattr(resonances, "LOWEST", 1000 * 0.52)
     assert not np.any(noticeable(fit, groups) < 0.51)
 
