@@ -111,17 +111,21 @@ def _sums(data, mean, groups, omega):
     n, k = len(omega), 2 * len(RESONANT) * inputs
     sums = Sums(np.zeros((n, k)), np.zeros((n, k, k)), np.zeros((layout.size, n, k)))
     for series in series_of(groups):
-        kept = slice(layout.skipped, None)
-        X, y = Regressors(series, layout).rows()[:, kept], series.y[kept]
+        X, y = Regressors(series, layout).rows()[:, layout.skipped :], series.y[layout.skipped :]
         line = line_of(len(y))
         X, y = (signal - signal @ line @ line.T for signal in (X, y))
         Au = lfilter(A, [1], series.u, axis=0)
         for first in range(0, n, FREQUENCIES_AT_ONCE):
             now = slice(first, first + FREQUENCIES_AT_ONCE)
-            s = np.concatenate([answers(poles[now], u)[..., kept] for u in Au.T], axis=1)
-            Z = np.concatenate([s.real, s.imag], axis=1)  # (frequency, k, time)
+            Z = _columns(poles[now], Au)[..., layout.skipped :]
             on_line = Z @ line
             sums.q[now] += Z @ (y - mean @ X)
             sums.ZZ[now] += Z @ Z.swapaxes(1, 2) - on_line @ on_line.swapaxes(1, 2)
             sums.XZ[:, now] += np.tensordot(X, Z, (1, 2))
     return sums
+
+
+def _columns(poles, Au):
+    """Compute the transpose of Z for each frequency, shape (frequency, k, time)."""
+    s = np.concatenate([answers(poles, u) for u in Au.T], axis=1)
+    return np.concatenate([s.real, s.imag], axis=1)
