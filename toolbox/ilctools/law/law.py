@@ -37,9 +37,8 @@ class Law:
     equation (23) of the paper. See D. A. Bristow, M. Tharayil and A. G. Alleyne, A survey of
     iterative learning control, IEEE Control Systems Magazine 26 (2006) 96-114.
 
-    With a learning gain a below one, v changes only by the fraction a of the change that the law
-    asks for: v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k). Learning is then slower, but noise in e is
-    averaged.
+    A learning gain a below one makes v change by a times as much,
+    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k). Learning is then slower, but noise in e is averaged.
 
     Attributes
     ----------
